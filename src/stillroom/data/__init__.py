@@ -1,0 +1,1 @@
+"""The nouns of the system: what the rooms hand to each other."""

@@ -1,0 +1,66 @@
+"""A frame: the keypoints of one image."""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from stillroom.data.image import RgbdImage
+from stillroom.geometry.arrays import Bool, F32, I32, U8
+from stillroom.geometry.camera import Camera
+
+
+@dataclass(frozen=True)
+class Keypoints:
+    """N keypoints as parallel arrays.
+
+    Attributes:
+        px: Undistorted positions (N, 2) float32 [px], x right, y down, pixel centres at integers.
+        raw_px: Positions in the image as taken (N, 2) float32 [px]; masks and boxes are looked up here.
+        octave: Pyramid level (N,) int32, 0 the finest.
+        angle_rad: Orientation (N,) float32 [rad], in (−π, π].
+        descriptors: ORB (N, 32) uint8.
+        depth_m: Depth (N,) float32 [m]; 0 where unknown.
+        right_px: Horizontal position in the virtual right image (N,) float32 [px]; −1 where depth is unknown.
+    """
+
+    px: F32
+    raw_px: F32
+    octave: I32
+    angle_rad: F32
+    descriptors: U8
+    depth_m: F32
+    right_px: F32
+
+    def __len__(self) -> int:
+        """Number of keypoints."""
+        return len(self.px)
+
+
+@dataclass(frozen=True)
+class Frame:
+    """The keypoints of one image, with the image and the camera that took it.
+
+    Attributes:
+        image: The image they were found in.
+        camera: Its calibration.
+        keypoints: What was found.
+        is_static: Verdict of sieve 1 on each keypoint (N,); all true until a sieve has spoken.
+    """
+
+    image: RgbdImage
+    camera: Camera
+    keypoints: Keypoints
+    is_static: Bool = field(repr=False)
+
+    def __len__(self) -> int:
+        """Number of keypoints."""
+        return len(self.keypoints)
+
+    @property
+    def timestamp_s(self) -> float:
+        """Time of the image [s]."""
+        return self.image.timestamp_s
+
+    def with_static(self, is_static: Bool) -> "Frame":
+        """Return the same frame with another verdict (N,) on its keypoints."""
+        return replace(self, is_static=np.asarray(is_static, dtype=np.bool_))

@@ -1,0 +1,44 @@
+"""One RGB-D image as a sequence delivers it."""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import cv2
+import numpy as np
+
+from stillroom.data.semantics import Semantics
+from stillroom.geometry.arrays import F32, U8
+
+
+@dataclass(frozen=True)
+class RgbdImage:
+    """A colour image with registered depth.
+
+    Attributes:
+        index: Place of the image in its sequence, from 0.
+        timestamp_s: Time of the colour image [s].
+        rgb: Colours (H, W, 3) uint8, RGB order, as taken (distorted).
+        depth_m: Depth (H, W) float32 [m] on the colour pixels; 0 where unknown.
+        truth: What a renderer knows of the image (exact boxes and masks); None on real data.
+    """
+
+    index: int
+    timestamp_s: float
+    rgb: U8
+    depth_m: F32
+    truth: Semantics | None = field(default=None, repr=False)
+
+    @cached_property
+    def gray(self) -> U8:
+        """Brightness (H, W) uint8."""
+        return np.asarray(cv2.cvtColor(self.rgb, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
+
+    @property
+    def height(self) -> int:
+        """Rows."""
+        return int(self.rgb.shape[0])
+
+    @property
+    def width(self) -> int:
+        """Columns."""
+        return int(self.rgb.shape[1])

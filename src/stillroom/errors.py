@@ -1,0 +1,56 @@
+"""The errors that Stillroom raises on purpose. The command line prints each as one line.
+
+::
+
+    StillroomError
+    ├── ConfigError            a key, a value or a combination of options that cannot be
+    ├── CalibrationError       a camera that is unknown, incomplete or impossible
+    ├── DatasetError           a sequence that cannot be opened
+    │   └── FrameError         one frame of it that cannot be read; a run goes on without it
+    ├── TrajectoryError        a trajectory or ground truth that cannot be read or compared
+    ├── WeightsError           a network's weights that are absent or not what they claim to be
+    ├── DownloadError          a file that could not be fetched, or came with the wrong checksum
+    └── MissingExtraError      an optional library that is not installed
+
+Each message says what is wrong, where, and what to do about it.
+"""
+
+
+class StillroomError(Exception):
+    """Base of every error that Stillroom raises on purpose."""
+
+
+class ConfigError(StillroomError):
+    """A configuration key, value or combination of options is wrong."""
+
+
+class CalibrationError(StillroomError):
+    """A camera is unknown, incomplete or impossible."""
+
+
+class DatasetError(StillroomError):
+    """A sequence cannot be opened."""
+
+
+class FrameError(DatasetError):
+    """One frame of a sequence cannot be read; the others may be fine."""
+
+
+class TrajectoryError(StillroomError):
+    """A trajectory cannot be read, or two of them cannot be compared."""
+
+
+class WeightsError(StillroomError):
+    """A network's weights are absent or not what they claim to be."""
+
+
+class DownloadError(StillroomError):
+    """A file could not be fetched, or came with the wrong checksum."""
+
+
+class MissingExtraError(StillroomError):
+    """An optional library is not installed."""
+
+    def __init__(self, library: str, extra: str) -> None:
+        """Name the missing library and the command that mends it."""
+        super().__init__(f"{library} is not installed: pip install 'stillroom[{extra}]'")

@@ -1,0 +1,110 @@
+"""The pinhole camera with Brown–Conrady distortion and registered depth."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import cv2
+import numpy as np
+
+from stillroom.errors import CalibrationError
+from stillroom.geometry.arrays import F32, F64, Floats
+
+
+@dataclass(frozen=True)
+class Camera:
+    """An RGB-D camera: x right, y down, z forward; pixel centres at integers; depth registered to colour.
+
+    Attributes:
+        width, height: Image size [px].
+        fx, fy, cx, cy: Intrinsics [px].
+        distortion: k1 k2 p1 p2 k3, OpenCV's order.
+        depth_factor: Units of the 16-bit depth image per metre.
+        bf: Baseline of the virtual stereo pair times fx [px·m]: a depth d has the right coordinate u − bf/d
+            (ORB-SLAM2, REFERENCE: 40 for Kinect-like sensors).
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    depth_factor: float = 5000.0
+    bf: float = 40.0
+
+    def __post_init__(self) -> None:
+        """Refuse a camera that cannot exist.
+
+        Raises:
+            CalibrationError: A number is not finite, or a size, focal length, factor or baseline is not positive.
+        """
+        numbers = {name: getattr(self, name) for name in ("fx", "fy", "cx", "cy", "depth_factor", "bf")}
+        for name, value in numbers.items():
+            if not np.isfinite(value):
+                raise CalibrationError(f"camera: {name} is {value}; it must be a finite number")
+        for name in ("width", "height", "fx", "fy", "depth_factor", "bf"):
+            if getattr(self, name) <= 0:
+                raise CalibrationError(f"camera: {name} is {getattr(self, name)}; it must be positive")
+        if len(self.distortion) != 5 or not np.all(np.isfinite(self.distortion)):
+            raise CalibrationError(
+                f"camera: distortion is {self.distortion}; it must be five numbers k1 k2 p1 p2 k3"
+            )
+
+    @cached_property
+    def K(self) -> F64:
+        """Intrinsic matrix (3, 3)."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    @property
+    def baseline_m(self) -> float:
+        """Baseline of the virtual stereo pair [m]."""
+        return self.bf / self.fx
+
+    @property
+    def is_distorted(self) -> bool:
+        """Whether any distortion coefficient differs from zero."""
+        return any(self.distortion)
+
+    def undistort(self, raw_px: Floats) -> F32:
+        """Move points (N, 2) of the image as taken to where an ideal pinhole would see them, (N, 2)."""
+        if len(raw_px) == 0 or not self.is_distorted:
+            return np.ascontiguousarray(raw_px, dtype=np.float32)
+        points = np.ascontiguousarray(raw_px, dtype=np.float64).reshape(-1, 1, 2)
+        criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 1e-6)
+        moved = cv2.undistortPointsIter(
+            points, self.K, np.asarray(self.distortion), np.eye(3), self.K, criteria
+        )
+        return np.asarray(moved, dtype=np.float32).reshape(-1, 2)
+
+    @cached_property
+    def undistorted_bounds_px(self) -> tuple[float, float, float, float]:
+        """The undistorted image's extent (x_min, y_min, x_max, y_max) [px], from its four corners."""
+        w, h = self.width - 1.0, self.height - 1.0
+        corners = self.undistort(np.array([[0, 0], [w, 0], [0, h], [w, h]], dtype=np.float32))
+        return (
+            float(min(corners[0, 0], corners[2, 0])),
+            float(min(corners[0, 1], corners[1, 1])),
+            float(max(corners[1, 0], corners[3, 0])),
+            float(max(corners[2, 1], corners[3, 1])),
+        )
+
+    def project(self, points_cam_m: Floats) -> F64:
+        """Project points (N, 3) of the camera frame with z > 0 to undistorted pixels (N, 2)."""
+        z = points_cam_m[:, 2]
+        return np.stack(
+            (self.fx * points_cam_m[:, 0] / z + self.cx, self.fy * points_cam_m[:, 1] / z + self.cy), axis=1
+        )
+
+    def back_project(self, undistorted_px: Floats, depth_m: Floats) -> F64:
+        """Return the points (N, 3) of the camera frame at pixels (N, 2) with depths (N,) [m]."""
+        z = np.asarray(depth_m, dtype=np.float64)
+        x = (undistorted_px[:, 0].astype(np.float64) - self.cx) / self.fx * z
+        y = (undistorted_px[:, 1].astype(np.float64) - self.cy) / self.fy * z
+        return np.stack((x, y, z), axis=1)
+
+    def right_coordinate(self, x_px: Floats, depth_m: Floats) -> F32:
+        """Return u − bf/d (N,) [px] of the virtual right image; −1 where the depth (N,) is unknown."""
+        known = depth_m > 0
+        safe_m = np.where(known, depth_m, 1.0)
+        return np.where(known, x_px - self.bf / safe_m, -1.0).astype(np.float32)

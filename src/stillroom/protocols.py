@@ -1,0 +1,137 @@
+"""Every socket of the house on one page. A contribution is one file that fits one of them.
+
+===================  ===========================================================  =======================
+socket               question it answers                                          room
+===================  ===========================================================  =======================
+`Dataset`            what did the camera see, and when?                           `datasets`
+`Segmenter`          what may move in this image?                                 `semantics`
+`KeypointSieve`      which keypoints may tracking use? (sieve 1)                  `dynamics`
+`MatchSieve`         which matches, and which of the image, do move? (sieve 2)    `dynamics`
+`FeatureExtractor`   where are the corners, and what do they look like?           `features`
+`Schedule`           when, and on which thread, does a piece of work run?         `schedule.py`
+`RunObserver`        who looks on while frames are tracked?                       `viz`, `cli`
+===================  ===========================================================  =======================
+
+The sockets are structural: nothing inherits from them. `stillroom.testing` holds the contract that each must keep.
+"""
+
+from collections.abc import Callable
+from typing import ParamSpec, Protocol, TypeVar
+
+from stillroom.data.frame import Frame
+from stillroom.data.image import RgbdImage
+from stillroom.data.map import Map
+from stillroom.data.matches import Matches
+from stillroom.data.motion import Motion, Stage
+from stillroom.data.result import FrameResult
+from stillroom.data.semantics import Semantics
+from stillroom.data.trajectory import Trajectory
+from stillroom.geometry.arrays import F64
+from stillroom.geometry.camera import Camera
+
+P = ParamSpec("P")
+T = TypeVar("T")
+T_co = TypeVar("T_co", covariant=True)
+
+
+class Dataset(Protocol):
+    """A recorded (or rendered) RGB-D sequence with random access; `load` may be called in any order, repeatedly."""
+
+    @property
+    def name(self) -> str:
+        """Short name, used for the results folder."""
+
+    @property
+    def camera(self) -> Camera:
+        """The calibration in force."""
+
+    @property
+    def camera_source(self) -> str:
+        """One line that says where the calibration comes from; shown at the start of a run."""
+
+    @property
+    def timestamps_s(self) -> F64:
+        """Times of the colour images (N,) [s], strictly increasing."""
+
+    @property
+    def groundtruth(self) -> Trajectory | None:
+        """True poses as the data set gives them, where it has any."""
+
+    def __len__(self) -> int:
+        """Number of images."""
+
+    def load(self, index: int) -> RgbdImage:
+        """Return image `index`.
+
+        Raises:
+            FrameError: This one image cannot be used; the run goes on without it.
+        """
+
+
+class Segmenter(Protocol):
+    """Says what may move. May keep state over time: it is called once for each image, in order."""
+
+    def __call__(self, image: RgbdImage) -> Semantics:
+        """Return boxes or a mask of what may move in the image."""
+
+
+class Pending(Protocol[T_co]):
+    """An answer that may still be in the making."""
+
+    def result(self) -> T_co:
+        """Wait for the answer and return it; raise what the work raised."""
+
+
+class Schedule(Protocol):
+    """Decides when submitted work runs. A stage never knows which schedule it runs on."""
+
+    def submit(self, work: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Pending[T]:
+        """Run the work now or later; work submitted through one schedule keeps its order."""
+
+    def close(self) -> None:
+        """Finish what was submitted."""
+
+
+class FeatureExtractor(Protocol):
+    """Finds keypoints."""
+
+    def extract(self, image: RgbdImage) -> Frame:
+        """Return the frame of the image; zero keypoints on a black image is a fine answer."""
+
+
+class KeypointSieve(Protocol):
+    """Sieve 1: decides before tracking which keypoints tracking may use."""
+
+    def __call__(self, frame: Frame, semantics: Pending[Semantics]) -> Frame:
+        """Return the frame with its `is_static` verdict."""
+
+
+class MatchSieve(Protocol):
+    """Sieve 2: decides while tracking what does move."""
+
+    def judge(
+        self,
+        stage: Stage,
+        frame: Frame,
+        matches: Matches,
+        semantics: Pending[Semantics],
+        T_cam_world: F64,
+        world: Map,
+    ) -> Motion:
+        """Judge the whole image.
+
+        Args:
+            stage: When in tracking the question is put; thresholds may differ.
+            frame: The present frame.
+            matches: Its pairs with map points at this stage.
+            semantics: What may move; await it only if needed.
+            T_cam_world: The best guess of the present pose (4, 4) at this stage.
+            world: The map.
+        """
+
+
+class RunObserver(Protocol):
+    """Looks on: a viewer, a progress line, a recorder of pictures. Never changes what it sees."""
+
+    def on_frame(self, image: RgbdImage, semantics: Semantics, motion: Motion, result: FrameResult) -> None:
+        """Take note of a tracked frame."""

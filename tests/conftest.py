@@ -1,0 +1,68 @@
+"""Where the real data lies, and a count of what ran with it."""
+
+import os
+from pathlib import Path
+
+import cv2
+import pytest
+
+cv2.setNumThreads(1)
+
+ROOT = Path(__file__).parents[1]
+BONN = "rgbd_bonn_crowd_first560"
+FREIBURG1 = "rgbd_dataset_freiburg1_rpy_first150"
+
+
+def _folder(variable: str, default: str) -> Path | None:
+    named = os.environ.get(variable)
+    folder = Path(named) if named else ROOT.parent / "shared" / default
+    return folder if folder.is_dir() else None
+
+
+def _required(variable: str, default: str, relative: str) -> Path:
+    folder = _folder(variable, default)
+    if folder is None or not (folder / relative).exists():
+        pytest.skip(f"{relative} not found; set {variable} to the folder that holds it")
+    return folder / relative
+
+
+@pytest.fixture(scope="session")
+def bonn() -> Path:
+    """The Bonn stretch: 560 real frames with people in them."""
+    return _required("STILLROOM_DATA", "data", BONN)
+
+
+@pytest.fixture(scope="session")
+def freiburg1() -> Path:
+    """The fr1 stretch: 150 real frames, static, hand-held rotations."""
+    return _required("STILLROOM_DATA", "data", FREIBURG1)
+
+
+@pytest.fixture(scope="session")
+def yolo_weights() -> Path:
+    """The folder with YOLO-Fastest's cfg, weights and names."""
+    return _required("STILLROOM_MODELS", "models", "yolo_fastest")
+
+
+REAL_FIXTURES = {"bonn", "freiburg1", "yolo_weights"}
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark what needs real data, by the fixtures it asks for."""
+    for item in items:
+        if REAL_FIXTURES & set(getattr(item, "fixturenames", ())):
+            item.add_marker(pytest.mark.real)
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Print how many real-data tests ran and how many were skipped, and why."""
+    ran = skipped = 0
+    for outcome, reports in terminalreporter.stats.items():
+        for report in reports:
+            if "real" not in getattr(report, "keywords", {}):
+                continue
+            if outcome == "skipped":
+                skipped += 1
+            elif outcome in {"passed", "failed"} and report.when == "call":
+                ran += 1
+    terminalreporter.write_line(f"real-data tests: {ran} ran, {skipped} skipped")

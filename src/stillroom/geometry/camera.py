@@ -9,6 +9,9 @@ import numpy as np
 from stillroom.errors import CalibrationError
 from stillroom.geometry.arrays import F32, F64, Floats
 
+# OpenCV 4 has the iterated form under a name of its own; OpenCV 5 folded it into undistortPoints.
+_undistort_points = getattr(cv2, "undistortPointsIter", cv2.undistortPoints)
+
 
 @dataclass(frozen=True)
 class Camera:
@@ -47,9 +50,7 @@ class Camera:
             if getattr(self, name) <= 0:
                 raise CalibrationError(f"camera: {name} is {getattr(self, name)}; it must be positive")
         if len(self.distortion) != 5 or not np.all(np.isfinite(self.distortion)):
-            raise CalibrationError(
-                f"camera: distortion is {self.distortion}; it must be five numbers k1 k2 p1 p2 k3"
-            )
+            raise CalibrationError(f"camera: distortion is {self.distortion}; it must be five numbers k1 k2 p1 p2 k3")
 
     @cached_property
     def K(self) -> F64:
@@ -72,9 +73,7 @@ class Camera:
             return np.ascontiguousarray(raw_px, dtype=np.float32)
         points = np.ascontiguousarray(raw_px, dtype=np.float64).reshape(-1, 1, 2)
         criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 1e-6)
-        moved = cv2.undistortPointsIter(
-            points, self.K, np.asarray(self.distortion), np.eye(3), self.K, criteria
-        )
+        moved = _undistort_points(points, self.K, np.asarray(self.distortion), R=np.eye(3), P=self.K, criteria=criteria)
         return np.asarray(moved, dtype=np.float32).reshape(-1, 2)
 
     @cached_property

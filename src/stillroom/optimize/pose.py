@@ -1,0 +1,252 @@
+"""Pose-only optimisation: one camera against fixed points, robust, with outliers told apart.
+
+After ORB-SLAM2 (Mur-Artal and Tardós 2017, section III-B, motion-only bundle adjustment; REFERENCE section 3).
+"""
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+
+from stillroom.geometry.arrays import F64, Bool, Floats
+from stillroom.geometry.camera import Camera
+from stillroom.optimize.projection import (
+    behind_chi_square,
+    camera_blocks,
+    chi_square,
+    huber,
+    intrinsics_of,
+    point_information,
+    residual,
+    retract,
+    to_camera,
+)
+
+MIN_OBSERVATIONS = 3
+_FIRST_DAMPING = 1e-5
+_TINY_STEP = 1e-7
+_TINY_DECREASE = 1e-7
+
+
+@numba.njit(nogil=True, cache=True)
+def classify(
+    T: F64,
+    points_world_m: F64,
+    observed_px: F64,
+    weights: F64,
+    intrinsics: F64,
+    limit_2d: float,
+    limit_3d: float,
+    chi2: F64,
+    is_inlier: Bool,
+) -> int:
+    """Write χ² (N,) and whether it is within its limit (N,); return how many verdicts changed."""
+    changed = 0
+    for i in range(points_world_m.shape[0]):
+        x, y, z = to_camera(T, points_world_m[i, 0], points_world_m[i, 1], points_world_m[i, 2])
+        chi2[i] = chi_square(x, y, z, observed_px[i], weights[i], intrinsics)
+        limit = limit_3d if weights[i, 2] > 0.0 else limit_2d
+        verdict = chi2[i] < np.inf and chi2[i] <= limit
+        changed += verdict != is_inlier[i]
+        is_inlier[i] = verdict
+    return changed
+
+
+@numba.njit(nogil=True, cache=True)
+def linearize_pose(
+    T: F64,
+    points_world_m: F64,
+    observed_px: F64,
+    weights: F64,
+    is_active: Bool,
+    intrinsics: F64,
+    delta2_2d: float,
+    delta2_3d: float,
+    H: F64,
+    b: F64,
+) -> float:
+    """Write the normal equations of the pose, lower triangle of `H` (6, 6) and `b` (6,); return the robust cost Σρ."""
+    H[:] = 0.0
+    b[:] = 0.0
+    cost = 0.0
+    for i in range(points_world_m.shape[0]):
+        if not is_active[i]:
+            continue
+        x, y, z = to_camera(T, points_world_m[i, 0], points_world_m[i, 1], points_world_m[i, 2])
+        chi2 = chi_square(x, y, z, observed_px[i], weights[i], intrinsics)
+        has_right = weights[i, 2] > 0.0
+        delta2 = delta2_3d if has_right else delta2_2d
+        if chi2 == np.inf:
+            cost += huber(behind_chi_square(weights[i], intrinsics), delta2)[0]
+            continue
+        rho, factor = huber(chi2, delta2)
+        cost += rho
+        e_u, e_v, e_r = residual(x, y, z, observed_px[i], intrinsics, has_right)
+        information = point_information(x, y, z, e_u, e_v, e_r, weights[i], factor, intrinsics)
+        camera_blocks(x, y, z, information, H, b)
+    return cost
+
+
+@numba.njit(nogil=True, cache=True)
+def damped_step(H: F64, b: F64, damping: float, T: F64, T_trial: F64) -> float:
+    """Solve (H + λ diag H) ξ = −b by Cholesky and write exp(ξ) T into `T_trial` (4, 4); return |ξ|, −1 if it fails."""
+    L = np.zeros((6, 6))
+    xi = np.empty(6)
+    for i in range(6):
+        for j in range(i + 1):
+            s = H[i, j]
+            for k in range(j):
+                s -= L[i, k] * L[j, k]
+            if i > j:
+                L[i, j] = s / L[j, j]
+                continue
+            s += damping * H[i, i] + 1e-9
+            if not s > 0.0:
+                return -1.0
+            L[i, i] = np.sqrt(s)
+    for i in range(6):
+        xi[i] = -b[i]
+        for k in range(i):
+            xi[i] -= L[i, k] * xi[k]
+        xi[i] /= L[i, i]
+    for i in range(5, -1, -1):
+        for k in range(i + 1, 6):
+            xi[i] -= L[k, i] * xi[k]
+        xi[i] /= L[i, i]
+    norm: float = np.sqrt((xi * xi).sum())
+    if not norm < np.inf:
+        return -1.0
+    retract(T, xi, T_trial)
+    return norm
+
+
+@dataclass(frozen=True)
+class PoseEstimate:
+    """An optimised pose and which observations agree with it.
+
+    Attributes:
+        T_cam_world: The pose (4, 4) float64.
+        is_inlier: Which observations agree (N,) bool.
+        chi2: Weighted squared error (N,) float64; infinite behind the camera.
+    """
+
+    T_cam_world: F64
+    is_inlier: Bool
+    chi2: F64
+
+    @property
+    def n_inliers(self) -> int:
+        """How many observations agree."""
+        return int(np.count_nonzero(self.is_inlier))
+
+
+@dataclass(frozen=True)
+class PoseOptimizerConfig:
+    """Pose-only optimisation.
+
+    Attributes:
+        rounds: Optimisations, each followed by a new verdict on every observation.
+        iterations: Levenberg–Marquardt iterations a round, at most.
+        chi2_2d: Limit on χ² without a right coordinate: 95 % at two degrees of freedom.
+        chi2_3d: The same with a right coordinate: three degrees of freedom.
+    """
+
+    rounds: int = 4
+    iterations: int = 10
+    chi2_2d: float = 5.991
+    chi2_3d: float = 7.815
+
+    def build(self) -> "PoseOptimizer":
+        """Return the optimiser."""
+        return PoseOptimizer(self)
+
+
+class _Problem:
+    """One call's arrays, as the kernels take them, and its scratch."""
+
+    def __init__(self, points_world_m: Floats, observed_px: Floats, weights: Floats, camera: Camera) -> None:
+        self.arrays = tuple(
+            np.ascontiguousarray(array, dtype=np.float64).reshape(-1, 3)
+            for array in (points_world_m, observed_px, weights)
+        )
+        self.intrinsics = intrinsics_of(camera)
+        self.chi2 = np.empty(len(self.arrays[0]))
+        self.is_inlier = np.zeros(len(self.arrays[0]), dtype=np.bool_)
+
+    def classify(self, T_cam_world: F64, limit_2d: float, limit_3d: float) -> int:
+        """Judge every observation; return how many verdicts changed."""
+        return int(classify(T_cam_world, *self.arrays, self.intrinsics, limit_2d, limit_3d, self.chi2, self.is_inlier))
+
+    def minimize(self, T_cam_world: F64, iterations: int, delta2_2d: float, delta2_3d: float) -> tuple[F64, bool]:
+        """Run Levenberg–Marquardt on the inliers; return the pose and whether it converged."""
+        H, b, H_trial, b_trial = np.empty((6, 6)), np.empty(6), np.empty((6, 6)), np.empty(6)
+        T, T_trial = T_cam_world, np.empty((4, 4))
+        damping = _FIRST_DAMPING
+        rest = (*self.arrays, self.is_inlier, self.intrinsics, delta2_2d, delta2_3d)
+        cost = linearize_pose(T, *rest, H, b)
+        for _ in range(iterations):
+            step = damped_step(H, b, damping, T, T_trial)
+            if 0.0 <= step < _TINY_STEP:
+                return T, True
+            trial_cost = linearize_pose(T_trial, *rest, H_trial, b_trial) if step >= 0.0 else np.inf
+            if not trial_cost <= cost:
+                damping *= 10.0
+                continue
+            decrease = cost - trial_cost
+            T, T_trial = T_trial, np.empty((4, 4))
+            H, H_trial, b, b_trial, cost = H_trial, H, b_trial, b, trial_cost
+            damping *= 0.1
+            if decrease <= _TINY_DECREASE * cost:
+                return T, True
+        return T, False
+
+
+class PoseOptimizer:
+    """Finds a camera's pose from known points, whatever share of the matches is wrong."""
+
+    def __init__(self, config: PoseOptimizerConfig | None = None) -> None:
+        self.config = config or PoseOptimizerConfig()
+
+    def __call__(
+        self,
+        T_cam_world_guess: F64,
+        points_world_m: Floats,
+        observed_px: Floats,
+        weights: Floats,
+        camera: Camera,
+    ) -> PoseEstimate:
+        """Optimise the pose and judge every observation.
+
+        Rounds of Levenberg–Marquardt on the present inliers, Huber's kernel in the first three and none later; after
+        each round every observation is judged anew, so that an outlier may come back. Points behind the camera are
+        outliers. With fewer than three usable observations the guess comes back and nothing is an inlier.
+
+        Differs from ORB-SLAM2: a round starts from the last one's pose, not from the guess again, and the rounds end
+        when the pose has converged and no verdict changed (the inliers then lie within Huber's quadratic part, and
+        further rounds would change nothing).
+
+        Args:
+            T_cam_world_guess: Where to start (4, 4).
+            points_world_m: Points (N, 3) [m], world frame.
+            observed_px: u, v, u_right (N, 3) [px], undistorted; u_right is not read where its weight is 0.
+            weights: Inverse variances (N, 3) [1/px²]; the third is 0 where there is no right coordinate.
+            camera: Intrinsics and bf.
+        """
+        config = self.config
+        guess = np.array(T_cam_world_guess, dtype=np.float64)
+        problem = _Problem(points_world_m, observed_px, weights, camera)
+        problem.classify(guess, np.inf, np.inf)
+        T = guess
+        for round_index in range(config.rounds):
+            if np.count_nonzero(problem.is_inlier) < MIN_OBSERVATIONS:
+                break
+            robust = round_index < 3
+            deltas2 = (config.chi2_2d, config.chi2_3d) if robust else (np.inf, np.inf)
+            T, converged = problem.minimize(T, config.iterations, *deltas2)
+            changed = problem.classify(T, config.chi2_2d, config.chi2_3d)
+            if converged and not changed:
+                break
+        if np.count_nonzero(problem.is_inlier) < MIN_OBSERVATIONS:
+            problem.classify(guess, -1.0, -1.0)
+            T = guess
+        return PoseEstimate(T, problem.is_inlier, problem.chi2)

@@ -64,7 +64,8 @@ def behind_chi_square(weight: F64, intrinsics: F64) -> float:
     A finite constant, above what any error within the image costs: without it a step could lower the cost by
     carrying points behind the camera, and with infinity one wild point could stop all the others.
     """
-    return 4.0 * intrinsics[0] * intrinsics[0] * (weight[0] + weight[1] + weight[2])
+    cost: float = 4.0 * intrinsics[0] * intrinsics[0] * (weight[0] + weight[1] + weight[2])
+    return cost
 
 
 @numba.njit(nogil=True, cache=True)

@@ -1,0 +1,1 @@
+"""Networks in darknet's own format, and the way from there to ONNX."""

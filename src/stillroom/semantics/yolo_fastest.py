@@ -1,0 +1,172 @@
+"""YOLO-Fastest 1.1 and 1.1-xl: boxes of what may move (OC-SLAM 2.1)."""
+
+import functools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from stillroom.data.image import RgbdImage
+from stillroom.data.locations import cache_folder, models_folder
+from stillroom.data.semantics import Box
+from stillroom.errors import ConfigError, WeightsError
+from stillroom.geometry.arrays import F32, F64, I64, U8
+from stillroom.protocols import Segmenter
+from stillroom.semantics.boxes import suppress
+from stillroom.semantics.darknet.cfg import read_bytes, read_cfg
+from stillroom.semantics.darknet.network import Network, YoloHead
+from stillroom.semantics.darknet.onnx_graph import onnx_model
+from stillroom.semantics.detector import EachFrameAlone
+
+VARIANTS = ("1.1", "1.1-xl")
+FOLDER = "yolo_fastest"
+NAMES_FILE = "coco.names"
+
+
+@dataclass(frozen=True)
+class YoloFastestConfig:
+    """What YOLO-Fastest looks for.
+
+    Attributes:
+        variant: "1.1", or the larger "1.1-xl".
+        confidence: Objectness × class probability from which a box counts (OC-SLAM 2.1: 80 of 100).
+        nms_iou: Highest overlap that two boxes of one class may have; of more, the best is kept.
+        movable: Names of the classes that may move; the others are not reported.
+        folder: Where the cfg, weights and names lie; "" is the models' usual places.
+    """
+
+    variant: str = "1.1"
+    confidence: float = 0.80
+    nms_iou: float = 0.45
+    movable: tuple[str, ...] = ("person",)
+    folder: str = ""
+
+    def build(self) -> Segmenter:
+        """Return the detector.
+
+        Raises:
+            ConfigError: A value is impossible, or a class is not among the network's.
+            WeightsError: The network's files are absent, damaged or not supported.
+        """
+        return EachFrameAlone(self.build_detector(self.confidence))
+
+    def build_detector(self, confidence: float) -> "YoloFastest":
+        """Return the bare detector, which reports boxes from a confidence on."""
+        if self.variant not in VARIANTS:
+            raise ConfigError(f"variant is '{self.variant}'; it must be one of {', '.join(VARIANTS)}")
+        for key in ("confidence", "nms_iou"):
+            if not 0.0 < getattr(self, key) <= 1.0:
+                raise ConfigError(f"{key} is {getattr(self, key)}; it must be above 0 and at most 1")
+        folder = find_folder(self.folder)
+        return YoloFastest(folder, self.variant, self.movable, confidence, self.nms_iou)
+
+
+def find_folder(named: str = "") -> Path:
+    """Return the folder with the networks' files.
+
+    Raises:
+        WeightsError: There is none; the message says where it was looked for.
+    """
+    folder = Path(named) if named else models_folder(FOLDER)
+    if folder is not None and folder.is_dir():
+        return folder
+    usual = ("$STILLROOM_MODELS", str(cache_folder() / "models"), "../shared/models")
+    places = named or ", ".join(f"{place}/{FOLDER}" for place in usual)
+    raise WeightsError(f"YOLO-Fastest's weights are not in {places}; fetch them with 'stillroom download models'")
+
+
+class YoloFastest:
+    """The network with its reading of the image and of the answer; keeps no state over time."""
+
+    def __init__(self, folder: Path, variant: str, movable: Sequence[str], confidence: float, nms_iou: float) -> None:
+        """Load the network from `yolo-fastest-<variant>.cfg`, `.weights` and `coco.names` of a folder."""
+        cfg, weights = (folder / f"yolo-fastest-{variant}{suffix}" for suffix in (".cfg", ".weights"))
+        self._network = read_cfg(cfg)
+        self._labels = _read_names(folder / NAMES_FILE, self._network)
+        self._classes = _class_indices(movable, self._labels, folder / NAMES_FILE)
+        self._confidence = confidence
+        self._nms_iou = nms_iou
+        self._session = _session(onnx_model(cfg, weights))
+        self._anchors = [np.array(head.anchors_px, dtype=np.float64) for head in self._network.heads]
+
+    def detect(self, image: RgbdImage) -> tuple[Box, ...]:
+        """Return the boxes of movable classes, the most confident first."""
+        outputs = self._session.run(None, {"image": self._blob(image.rgb)})
+        found = [
+            self._decode(output[0], head, anchors)
+            for output, head, anchors in zip(outputs, self._network.heads, self._anchors, strict=True)
+        ]
+        unit = np.concatenate([boxes for boxes, _, _ in found])
+        scores = np.concatenate([scores for _, scores, _ in found])
+        classes = np.concatenate([classes for _, _, classes in found])
+        kept = suppress(unit, scores, classes, self._nms_iou)
+        edges = _to_pixels(unit[kept], image.width, image.height)
+        return tuple(
+            Box(x0, y0, x1, y1, self._labels[classes[k]], float(scores[k]))
+            for (x0, y0, x1, y1), k in zip(edges.tolist(), kept, strict=True)
+        )
+
+    def _blob(self, rgb: U8) -> F32:
+        """Stretch the image to the network's size: (1, 3, H, W) in [0, 255]."""
+        _, height, width = self._network.input_shape
+        small = cv2.resize(rgb, (width, height), interpolation=cv2.INTER_LINEAR)
+        return np.ascontiguousarray(small.transpose(2, 0, 1)[None], dtype=np.float32)
+
+    def _decode(self, raw: F32, head: YoloHead, anchors_px: F64) -> tuple[F64, F64, I64]:
+        """Read one head's answer (A × (5 + classes), h, w): boxes (N, 4) in [0, 1], confidences and classes (N,)."""
+        n_anchors, (_, rows, columns) = len(anchors_px), raw.shape
+        cells = raw.reshape(n_anchors, 5 + head.classes, rows, columns)
+        # Objectness bounds confidence from above, and few cells pass: the rest of the answer is never looked at.
+        limit = np.log(self._confidence / max(1.0 - self._confidence, 1e-12))
+        anchor, row, column = np.nonzero(cells[:, 4] >= limit)
+        values = cells[anchor, :, row, column].astype(np.float64)
+        confidence = _sigmoid(values[:, 4:5]) * _sigmoid(values[:, 5 + self._classes])
+        which, movable = np.nonzero(confidence >= self._confidence)
+        _, height, width = self._network.input_shape
+        shift = 0.5 * (head.scale_xy - 1.0)
+        center = _sigmoid(values[:, :2]) * head.scale_xy - shift + np.stack([column, row], axis=1)
+        center = center / (columns, rows)
+        half = 0.5 * np.exp(np.minimum(values[:, 2:4], 20.0)) * anchors_px[anchor] / (width, height)
+        boxes = np.concatenate([center - half, center + half], axis=1)
+        return boxes[which], confidence[which, movable], self._classes[movable]
+
+
+def _sigmoid(x: F64) -> F64:
+    return np.asarray(0.5 * (1.0 + np.tanh(0.5 * x)))
+
+
+def _to_pixels(unit: F64, width: int, height: int) -> F64:
+    """Move boxes (N, 4) from [0, 1] to pixels whose centres are at integers, cut to the image."""
+    size = np.array([width, height, width, height], dtype=np.float64)
+    return np.clip(unit * size - 0.5, 0.0, size - 1.0)
+
+
+def _read_names(path: Path, network: Network) -> tuple[str, ...]:
+    names = tuple(read_bytes(path).decode("utf-8", errors="replace").splitlines())
+    classes = network.heads[0].classes
+    if len(names) != classes:
+        raise WeightsError(f"{path}: {len(names)} class names; the network has {classes}")
+    return names
+
+
+def _class_indices(movable: Sequence[str], labels: Sequence[str], path: Path) -> I64:
+    for name in movable:
+        if name not in labels:
+            raise ConfigError(f"movable class '{name}' is not one of the network's; they are listed in {path}")
+    return np.array([labels.index(name) for name in movable], dtype=np.int64)
+
+
+@functools.lru_cache(maxsize=2)
+def _session(model: bytes) -> Any:
+    """Return an inference session on one thread: the same image gives the same numbers, and tracking its cores."""
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = 1
+    options.inter_op_num_threads = 1
+    options.execution_mode = onnxruntime.ExecutionMode.ORT_SEQUENTIAL
+    options.log_severity_level = 3
+    return onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])

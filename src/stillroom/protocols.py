@@ -12,7 +12,7 @@ socket               question it answers                                        
 `RunObserver`        who looks on while frames are tracked?                       `viz`, `cli`
 ===================  ===========================================================  =======================
 
-The sockets are structural: nothing inherits from them. `stillroom.testing` holds the contract that each must keep.
+The sockets are structural: nothing inherits from them. `stillroom.testing` holds the contract of each.
 """
 
 from collections.abc import Callable
@@ -35,7 +35,7 @@ T_co = TypeVar("T_co", covariant=True)
 
 
 class Dataset(Protocol):
-    """A recorded (or rendered) RGB-D sequence with random access; `load` may be called in any order, repeatedly."""
+    """A recorded (or rendered) RGB-D sequence with random access: `load` in any order, repeatedly."""
 
     @property
     def name(self) -> str:

@@ -1,11 +1,12 @@
 """A frame: the keypoints of one image."""
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
 from stillroom.data.image import RgbdImage
-from stillroom.geometry.arrays import Bool, F32, I32, U8
+from stillroom.geometry.arrays import F32, F64, I32, U8, Bool
 from stillroom.geometry.camera import Camera
 
 
@@ -37,18 +38,43 @@ class Keypoints:
 
 
 @dataclass(frozen=True)
+class ScaleLevels:
+    """The levels of a scale pyramid.
+
+    Attributes:
+        factor: Ratio of neighbouring levels.
+        count: Number of levels.
+    """
+
+    factor: float = 1.2
+    count: int = 8
+
+    @cached_property
+    def factors(self) -> F64:
+        """Size of a level-0 pixel's neighbourhood on each level (L,), 1 for the finest."""
+        return self.factor ** np.arange(self.count, dtype=np.float64)
+
+    @cached_property
+    def inverse_variances(self) -> F64:
+        """Weight [1/px²] of a measurement on each level (L,), 1 for the finest (ORB-SLAM2)."""
+        return np.asarray(self.factors**-2.0)
+
+
+@dataclass(frozen=True)
 class Frame:
     """The keypoints of one image, with the image and the camera that took it.
 
     Attributes:
         image: The image they were found in.
         camera: Its calibration.
+        scales: The pyramid they were found on.
         keypoints: What was found.
         is_static: Verdict of sieve 1 on each keypoint (N,); all true until a sieve has spoken.
     """
 
     image: RgbdImage
     camera: Camera
+    scales: ScaleLevels
     keypoints: Keypoints
     is_static: Bool = field(repr=False)
 

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from stillroom.geometry.arrays import Bool, F32, I32
+from stillroom.geometry.arrays import F32, I32, Bool
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from enum import Enum
 
 from stillroom.data.frame import Frame
 from stillroom.data.motion import Motion
-from stillroom.geometry.arrays import Bool, F32, F64, I32
+from stillroom.geometry.arrays import F32, F64, I32, Bool
 
 
 class TrackingState(Enum):
@@ -87,5 +87,3 @@ class FrameResult:
     keypoints_raw_px: F32 = field(repr=False)
     is_static: Bool = field(repr=False)
     is_matched: Bool = field(repr=False)
-
-

@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from stillroom.geometry.arrays import Bool, F32, Floats
+from stillroom.geometry.arrays import F32, Bool, Floats
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,47 @@
+"""Which keyframes see the same points."""
+
+import numpy as np
+
+from stillroom.geometry.arrays import I32
+
+
+class Covisibility:
+    """A weighted graph over keyframes; the weight is the number of points that both see (ORB-SLAM2)."""
+
+    def __init__(self, min_weight: int = 15) -> None:
+        """Start empty; edges weaker than `min_weight` are left out unless a keyframe would have none."""
+        self.min_weight = min_weight
+        self._weights: dict[int, dict[int, int]] = {}
+
+    def connect(self, keyframe: int, counts: I32) -> None:
+        """Replace the edges of a keyframe.
+
+        Args:
+            keyframe: Its id.
+            counts: Points shared with each keyframe (K,); the entry of the keyframe itself is ignored.
+        """
+        counts = counts.copy()
+        counts[keyframe] = 0
+        strong = np.flatnonzero(counts >= self.min_weight)
+        if len(strong) == 0 and counts.max(initial=0) > 0:
+            strong = np.array([int(np.argmax(counts))])
+        for other in self._weights.get(keyframe, {}):
+            self._weights[other].pop(keyframe, None)
+        self._weights[keyframe] = {int(other): int(counts[other]) for other in strong}
+        for other, weight in self._weights[keyframe].items():
+            self._weights.setdefault(other, {})[keyframe] = weight
+
+    def remove(self, keyframe: int) -> None:
+        """Forget a keyframe."""
+        for other in self._weights.pop(keyframe, {}):
+            self._weights[other].pop(keyframe, None)
+
+    def neighbours(self, keyframe: int, at_most: int | None = None) -> list[int]:
+        """Return connected keyframes, strongest first; of equal ones the newest first."""
+        edges = self._weights.get(keyframe, {})
+        ordered = sorted(edges, key=lambda other: (-edges[other], -other))
+        return ordered if at_most is None else ordered[:at_most]
+
+    def weight(self, first: int, second: int) -> int:
+        """Return how many points two keyframes share, 0 when not connected."""
+        return self._weights.get(first, {}).get(second, 0)

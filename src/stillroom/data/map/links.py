@@ -1,0 +1,184 @@
+"""Kernels on the lists of observations. Rows are rows of `KeypointTable`, points rows of `PointTable`."""
+
+import numpy as np
+from numba import njit
+
+from stillroom.geometry.arrays import F32, F64, I32, I64, U8
+from stillroom.geometry.hamming import popcount64
+
+MAX_DESCRIPTORS = 20
+"""Newest observations among which a point's typical descriptor is chosen; keeps the cost of old points bounded."""
+
+
+@njit(nogil=True, cache=True)
+def link(
+    points: I32,
+    rows: I64,
+    row_point: I32,
+    row_next: I32,
+    row_keyframe: I32,
+    row_right_px: F32,
+    first_row: I32,
+    n_observations: I32,
+    n_keyframes: I32,
+) -> int:
+    """Let each row see its point, unless it sees one already or its keyframe sees the point; count the links."""
+    linked = 0
+    for i in range(len(points)):
+        point, row = points[i], rows[i]
+        if row_point[row] >= 0:
+            continue
+        other = first_row[point]
+        while other >= 0 and row_keyframe[other] != row_keyframe[row]:
+            other = row_next[other]
+        if other >= 0:
+            continue
+        row_point[row] = point
+        row_next[row] = first_row[point]
+        first_row[point] = row
+        n_observations[point] += 2 if row_right_px[row] >= 0 else 1
+        n_keyframes[point] += 1
+        linked += 1
+    return linked
+
+
+@njit(nogil=True, cache=True)
+def unlink(
+    rows: I64,
+    row_point: I32,
+    row_next: I32,
+    row_right_px: F32,
+    first_row: I32,
+    n_observations: I32,
+    n_keyframes: I32,
+) -> None:
+    """Let each row see nothing."""
+    for i in range(len(rows)):
+        row = rows[i]
+        point = row_point[row]
+        if point < 0:
+            continue
+        if first_row[point] == row:
+            first_row[point] = row_next[row]
+        else:
+            other = first_row[point]
+            while row_next[other] != row:
+                other = row_next[other]
+            row_next[other] = row_next[row]
+        row_point[row] = -1
+        row_next[row] = -1
+        n_observations[point] -= 2 if row_right_px[row] >= 0 else 1
+        n_keyframes[point] -= 1
+
+
+@njit(nogil=True, cache=True)
+def gather(points: I32, row_next: I32, first_row: I32, n_keyframes: I32) -> tuple[I32, I32]:
+    """Return for all observations of the points: place in `points` (M,), row (M,); newest first within a point."""
+    total = 0
+    for i in range(len(points)):
+        total += n_keyframes[points[i]]
+    place = np.empty(total, np.int32)
+    rows = np.empty(total, np.int32)
+    n = 0
+    for i in range(len(points)):
+        row = first_row[points[i]]
+        while row >= 0:
+            place[n] = i
+            rows[n] = row
+            n += 1
+            row = row_next[row]
+    return place, rows
+
+
+@njit(nogil=True, cache=True)
+def count_by_keyframe(points: I32, row_next: I32, first_row: I32, row_keyframe: I32, n_keyframes: int) -> I32:
+    """Count in how many of the points each keyframe shares, (K,)."""
+    counts = np.zeros(n_keyframes, np.int32)
+    for i in range(len(points)):
+        if points[i] < 0:
+            continue
+        row = first_row[points[i]]
+        while row >= 0:
+            counts[row_keyframe[row]] += 1
+            row = row_next[row]
+    return counts
+
+
+@njit(nogil=True, cache=True)
+def typical_descriptors(points: I32, row_next: I32, first_row: I32, words: U8, chosen: I32) -> None:
+    """Choose for each point the row whose descriptor has the least median distance to the others.
+
+    Args:
+        points: Points (N,).
+        row_next, first_row: The lists of observations.
+        words: Descriptors of the rows as (R, 4) uint64.
+        chosen: Receives the rows (N,); −1 for a point that nothing sees.
+    """
+    rows = np.empty(MAX_DESCRIPTORS, np.int32)
+    distances = np.empty((MAX_DESCRIPTORS, MAX_DESCRIPTORS), np.int32)
+    for i in range(len(points)):
+        n = 0
+        row = first_row[points[i]]
+        while row >= 0 and n < MAX_DESCRIPTORS:
+            rows[n] = row
+            n += 1
+            row = row_next[row]
+        chosen[i] = rows[0] if n > 0 else -1
+        if n < 3:
+            continue
+        for a in range(n):
+            distances[a, a] = 0
+            for b in range(a + 1, n):
+                d = 0
+                for w in range(4):
+                    d += popcount64(words[rows[a], w] ^ words[rows[b], w])
+                distances[a, b] = d
+                distances[b, a] = d
+        best = 1 << 30
+        for a in range(n):
+            median = np.sort(distances[a, :n])[(n - 1) // 2]
+            if median < best:
+                best = median
+                chosen[i] = rows[a]
+
+
+@njit(nogil=True, cache=True)
+def viewing_geometry(
+    points: I32,
+    positions_m: F64,
+    row_next: I32,
+    first_row: I32,
+    row_keyframe: I32,
+    row_octave: I32,
+    T_world_cam: F64,
+    scale_factors: F64,
+    normals: F64,
+    min_distance_m: F64,
+    max_distance_m: F64,
+) -> None:
+    """Update the mean viewing direction and the distances at which each point can be found again.
+
+    The oldest observation sets the scale, as ORB-SLAM2's reference keyframe does.
+    """
+    for i in range(len(points)):
+        p = points[i]
+        row = first_row[p]
+        if row < 0:
+            continue
+        nx, ny, nz = 0.0, 0.0, 0.0
+        distance, octave = 0.0, 0
+        while row >= 0:
+            k = row_keyframe[row]
+            dx = positions_m[p, 0] - T_world_cam[k, 0, 3]
+            dy = positions_m[p, 1] - T_world_cam[k, 1, 3]
+            dz = positions_m[p, 2] - T_world_cam[k, 2, 3]
+            distance = np.sqrt(dx * dx + dy * dy + dz * dz) + 1e-12
+            octave = row_octave[row]
+            nx += dx / distance
+            ny += dy / distance
+            nz += dz / distance
+            row = row_next[row]
+        length = np.sqrt(nx * nx + ny * ny + nz * nz) + 1e-12
+        normals[p, 0], normals[p, 1], normals[p, 2] = nx / length, ny / length, nz / length
+        max_distance_m[p] = distance * scale_factors[octave]
+        min_distance_m[p] = max_distance_m[p] / scale_factors[-1]

@@ -1,0 +1,217 @@
+"""The map: keyframes, their keypoints, and the points that they see."""
+
+import numpy as np
+
+from stillroom.data.frame import Frame, ScaleLevels
+from stillroom.data.map import links
+from stillroom.data.map.covisibility import Covisibility
+from stillroom.data.map.tables import KeyframeTable, KeypointTable, PointTable
+from stillroom.geometry import se3
+from stillroom.geometry.arrays import F64, I32, I64, Bool, Ints
+from stillroom.geometry.hamming import words
+
+
+class Map:
+    """Three tables and the links between them. Ids are row numbers and are never used again.
+
+    Attributes:
+        scales: The pyramid of the keypoints.
+        keyframes, keypoints, points: The tables; see `tables`.
+        covisibility: Which keyframes see the same points.
+    """
+
+    def __init__(self, scales: ScaleLevels) -> None:
+        """Start empty."""
+        self.scales = scales
+        self.keyframes = KeyframeTable(capacity=64)
+        self.keypoints = KeypointTable(capacity=65536)
+        self.points = PointTable(capacity=16384)
+        self.covisibility = Covisibility()
+
+    # Keyframes
+
+    def add_keyframe(
+        self, frame: Frame, T_world_cam: F64, point_ids: I32, is_static: Bool, parent: int
+    ) -> int:
+        """Add a frame as a keyframe that sees the given points.
+
+        Args:
+            frame: The frame; its image is not kept.
+            T_world_cam: Pose (4, 4).
+            point_ids: Point that each keypoint sees (N,), −1 for none.
+            is_static: Verdict on each keypoint (N,); the others never make or see a point.
+            parent: Keyframe that it hangs on, −1 for the first.
+
+        Returns:
+            The id of the new keyframe.
+        """
+        keyframe, kp = len(self.keyframes), frame.keypoints
+        rows = self.keypoints.append(
+            len(frame),
+            keyframe=keyframe,
+            px=kp.px,
+            octave=kp.octave,
+            angle_rad=kp.angle_rad,
+            right_px=kp.right_px,
+            depth_m=kp.depth_m,
+            descriptors=kp.descriptors,
+            is_static=is_static,
+        )
+        self.keyframes.append(
+            1,
+            T_world_cam=T_world_cam,
+            timestamp_s=frame.timestamp_s,
+            image_index=frame.image.index,
+            first_row=rows.start,
+            n_rows=len(frame),
+            parent=parent,
+            T_parent_cam=np.eye(4),
+        )
+        seen = np.flatnonzero((point_ids >= 0) & is_static)
+        self.observe(point_ids[seen], rows.start + seen)
+        return keyframe
+
+    def rows(self, keyframe: int) -> slice:
+        """Return where the keyframe's keypoints lie in the keypoint table."""
+        start = int(self.keyframes.first_row[keyframe])
+        return slice(start, start + int(self.keyframes.n_rows[keyframe]))
+
+    def points_of(self, keyframe: int) -> I32:
+        """Return the point that each keypoint of a keyframe sees (N,), −1 for none."""
+        return self.keypoints.point[self.rows(keyframe)]
+
+    def alive_keyframes(self) -> I64:
+        """Return the ids of the keyframes that were not culled, oldest first."""
+        return np.flatnonzero(self.keyframes.is_alive)
+
+    def remove_keyframe(self, keyframe: int) -> None:
+        """Cull a keyframe: what it saw is unseen, frames hung on it hang on its parent from now on."""
+        parent = int(self.keyframes.parent[keyframe])
+        T_world_parent = self.keyframe_pose(parent)
+        T_world_cam = self.keyframes.T_world_cam[keyframe]
+        self.keyframes.T_parent_cam[keyframe] = se3.inverse(T_world_parent) @ T_world_cam
+        self.keyframes.is_alive[keyframe] = False
+        rows = self.rows(keyframe)
+        self.remove_observations(np.arange(rows.start, rows.stop))
+        self.covisibility.remove(keyframe)
+
+    def keyframe_pose(self, keyframe: int) -> F64:
+        """Return `T_world_cam` (4, 4) of a keyframe as known now, alive or culled."""
+        T_kept_cam = np.eye(4)
+        while not self.keyframes.is_alive[keyframe]:
+            T_kept_cam = self.keyframes.T_parent_cam[keyframe] @ T_kept_cam
+            keyframe = int(self.keyframes.parent[keyframe])
+        pose: F64 = self.keyframes.T_world_cam[keyframe] @ T_kept_cam
+        return pose
+
+    def connect(self, keyframe: int) -> None:
+        """Count anew with which keyframes this one shares points."""
+        self.covisibility.connect(keyframe, self.count_shared(self.points_of(keyframe)))
+
+    def count_shared(self, point_ids: I32) -> I32:
+        """Count how many of the points (−1 is skipped) each keyframe sees, (K,)."""
+        counts: I32 = links.count_by_keyframe(
+            point_ids,
+            self.keypoints.next_row,
+            self.points.first_row,
+            self.keypoints.keyframe,
+            len(self.keyframes),
+        )
+        return counts
+
+    # Points
+
+    def add_points(self, positions_m: F64, rows: Ints) -> I32:
+        """Add points (N, 3) [m, world], each seen by one row (N,) that sees nothing yet; return their ids."""
+        first_keyframe = self.keypoints.keyframe[rows]
+        new = self.points.append(len(rows), position_m=positions_m, first_keyframe=first_keyframe)
+        ids = np.arange(new.start, new.stop, dtype=np.int32)
+        self.observe(ids, rows)
+        self.refresh(ids)
+        return ids
+
+    def observe(self, point_ids: Ints, rows: Ints) -> int:
+        """Let rows (N,) see points (N,); a keyframe sees a point at most once. Return how many links were made."""
+        table, points = self.keypoints, self.points
+        return int(
+            links.link(
+                point_ids.astype(np.int32),
+                rows.astype(np.int64),
+                table.point,
+                table.next_row,
+                table.keyframe,
+                table.right_px,
+                points.first_row,
+                points.n_observations,
+                points.n_keyframes,
+            )
+        )
+
+    def remove_observations(self, rows: Ints) -> None:
+        """Let rows (N,) see nothing; a point with fewer than two observations left is removed."""
+        touched = np.unique(self.keypoints.point[rows])
+        self._unlink(rows)
+        touched = touched[touched >= 0]
+        self.remove_points(touched[self.points.n_observations[touched] <= 2])
+
+    def remove_points(self, point_ids: Ints) -> None:
+        """Remove points (N,) and all that saw them."""
+        self._unlink(self.observations(point_ids)[1])
+        self.points.is_alive[point_ids] = False
+
+    def replace_points(self, old_ids: Ints, new_ids: Ints) -> None:
+        """Let all that saw an old point (N,) see the new one (N,) instead; the old ones are removed."""
+        place, rows = self.observations(old_ids)
+        self._unlink(rows)
+        self.observe(np.asarray(new_ids)[place], rows)
+        self.points.n_visible[new_ids] += self.points.n_visible[old_ids]
+        self.points.n_found[new_ids] += self.points.n_found[old_ids]
+        self.points.is_alive[old_ids] = False
+
+    def observations(self, point_ids: Ints) -> tuple[I32, I32]:
+        """Return all observations of points (N,): place in `point_ids` (M,) and keypoint row (M,)."""
+        place, rows = links.gather(
+            point_ids.astype(np.int32),
+            self.keypoints.next_row,
+            self.points.first_row,
+            self.points.n_keyframes,
+        )
+        return place, rows
+
+    def refresh(self, point_ids: Ints) -> None:
+        """Choose typical descriptors and viewing geometry of points (N,) anew, after their views changed."""
+        ids = point_ids.astype(np.int32)
+        table, points = self.keypoints, self.points
+        chosen = np.empty(len(ids), dtype=np.int32)
+        links.typical_descriptors(ids, table.next_row, points.first_row, words(table.descriptors), chosen)
+        seen = chosen >= 0
+        points.descriptors[ids[seen]] = table.descriptors[chosen[seen]]
+        self.refresh_geometry(ids)
+
+    def refresh_geometry(self, point_ids: Ints) -> None:
+        """Update viewing direction and distances of points (N,) after they or their keyframes moved."""
+        links.viewing_geometry(
+            point_ids.astype(np.int32),
+            self.points.position_m,
+            self.keypoints.next_row,
+            self.points.first_row,
+            self.keypoints.keyframe,
+            self.keypoints.octave,
+            self.keyframes.T_world_cam,
+            self.scales.factors,
+            self.points.normal,
+            self.points.min_distance_m,
+            self.points.max_distance_m,
+        )
+
+    def _unlink(self, rows: Ints) -> None:
+        table, points = self.keypoints, self.points
+        links.unlink(
+            rows.astype(np.int64),
+            table.point,
+            table.next_row,
+            table.right_px,
+            points.first_row,
+            points.n_observations,
+            points.n_keyframes,
+        )

@@ -1,0 +1,119 @@
+"""Growing tables: named columns of one length, doubled when full. No view of a column outlives a growth."""
+
+from typing import Any, Generic, TypeVar, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+D = TypeVar("D", bound=np.generic)
+
+
+class Column(Generic[D]):
+    """One column of a `Table`: reading it gives a view of the rows in use."""
+
+    def __init__(self, dtype: type[D], *tail: int, fill: float = 0) -> None:
+        """Describe a column whose rows have the shape `tail` and start as `fill`."""
+        self.dtype, self.tail, self.fill = dtype, tail, fill
+        self.name = ""
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        """Remember the attribute's name."""
+        self.name = name
+
+    @overload
+    def __get__(self, table: None, owner: type) -> "Column[D]": ...
+    @overload
+    def __get__(self, table: "Table", owner: type) -> NDArray[D]: ...
+    def __get__(self, table: "Table | None", owner: type) -> "Column[D] | NDArray[D]":
+        """Return the rows in use."""
+        if table is None:
+            return self
+        view: NDArray[D] = table.buffers[self.name][: len(table)]
+        return view
+
+
+class Table:
+    """Columns declared as class attributes; rows are appended and never removed."""
+
+    def __init__(self, capacity: int = 1024) -> None:
+        """Allocate room for `capacity` rows."""
+        columns = [value for value in vars(type(self)).values() if isinstance(value, Column)]
+        self.columns: tuple[Column[Any], ...] = tuple(columns)
+        self.buffers: dict[str, NDArray[Any]] = {
+            column.name: np.full((capacity, *column.tail), column.fill, dtype=column.dtype)
+            for column in self.columns
+        }
+        self._length = 0
+        self._capacity = capacity
+
+    def __len__(self) -> int:
+        """Rows in use."""
+        return self._length
+
+    def append(self, n_rows: int, /, **values: Any) -> slice:
+        """Add rows; columns not named keep their fill. Return where they lie."""
+        start, stop = self._length, self._length + n_rows
+        self._reserve(stop)
+        self._length = stop
+        for name, value in values.items():
+            self.buffers[name][start:stop] = value
+        return slice(start, stop)
+
+    def _reserve(self, n_rows: int) -> None:
+        if n_rows <= self._capacity:
+            return
+        capacity = max(n_rows, 2 * self._capacity)
+        for column in self.columns:
+            grown = np.full((capacity, *column.tail), column.fill, dtype=column.dtype)
+            grown[: self._length] = self.buffers[column.name][: self._length]
+            self.buffers[column.name] = grown
+        self._capacity = capacity
+
+
+class KeypointTable(Table):
+    """All keypoints of all keyframes, keyframe after keyframe. A row that sees a point is an observation.
+
+    Positions are undistorted pixels; `right_px` is −1 where depth is unknown. `next_row` links the rows that see
+    one point into a list that starts at the point's `first_row`.
+    """
+
+    keyframe = Column(np.int32, fill=-1)
+    px = Column(np.float32, 2)
+    octave = Column(np.int32)
+    angle_rad = Column(np.float32)
+    right_px = Column(np.float32, fill=-1)
+    depth_m = Column(np.float32)
+    descriptors = Column(np.uint8, 32)
+    is_static = Column(np.bool_, fill=1)
+    point = Column(np.int32, fill=-1)
+    next_row = Column(np.int32, fill=-1)
+
+
+class PointTable(Table):
+    """Map points. `n_observations` counts an observation with depth twice, as ORB-SLAM2's limits do."""
+
+    position_m = Column(np.float64, 3)
+    descriptors = Column(np.uint8, 32)
+    normal = Column(np.float64, 3)
+    min_distance_m = Column(np.float64)
+    max_distance_m = Column(np.float64)
+    first_row = Column(np.int32, fill=-1)
+    n_observations = Column(np.int32)
+    n_keyframes = Column(np.int32)
+    first_keyframe = Column(np.int32, fill=-1)
+    n_visible = Column(np.int32, fill=1)
+    n_found = Column(np.int32, fill=1)
+    is_alive = Column(np.bool_, fill=1)
+
+
+class KeyframeTable(Table):
+    """Keyframes. A culled one keeps its place beneath its parent, so that frames hung on it keep a pose."""
+
+    T_world_cam = Column(np.float64, 4, 4)
+    timestamp_s = Column(np.float64)
+    image_index = Column(np.int64)
+    first_row = Column(np.int64)
+    n_rows = Column(np.int64)
+    is_alive = Column(np.bool_, fill=1)
+    parent = Column(np.int32, fill=-1)
+    T_parent_cam = Column(np.float64, 4, 4)

@@ -1,0 +1,34 @@
+"""Counting bits, which numba does not offer by itself."""
+
+from typing import Any
+
+import numpy as np
+from numba import njit, types
+from numba.extending import intrinsic
+
+from stillroom.geometry.arrays import U8
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def popcount64(typing_context: Any, word: Any) -> Any:
+    """Count the set bits of an unsigned 64-bit word (inside kernels only)."""
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        return builder.ctpop(args[0])
+
+    return types.uint64(types.uint64), codegen
+
+
+@njit(nogil=True, cache=True)
+def hamming(first: U8, i: int, second: U8, j: int) -> int:
+    """Return the bits in which row i of `first` (N, 4) uint64 differs from row j of `second` (M, 4) uint64."""
+    distance = 0
+    for w in range(4):
+        distance += popcount64(first[i, w] ^ second[j, w])
+    return distance
+
+
+def words(descriptors: U8) -> U8:
+    """View descriptors (N, 32) uint8 as words (N, 4) uint64 for the kernels."""
+    view: U8 = np.ascontiguousarray(descriptors).view(np.uint64).reshape(-1, 4)
+    return view

@@ -9,7 +9,7 @@ import pytest
 
 from stillroom.errors import WeightsError
 from stillroom.semantics.darknet.cfg import read_cfg
-from stillroom.semantics.darknet.onnx_graph import convert, onnx_model
+from stillroom.semantics.darknet.onnx_graph import onnx_model
 from stillroom.semantics.darknet.weights import read_weights
 
 # Each kind of layer, each activation, groups, negative and absolute routes, two heads.
@@ -281,7 +281,12 @@ def test_a_cfg_that_is_not_understood_says_where_and_why(tmp_path, old, new, sai
 
 @pytest.mark.parametrize(
     ("content", "said"),
-    [("", "empty"), ("hello", "no 'key=value'"), ("[net]\nwidth=8\nheight=8\n", "has no layers")],
+    [
+        ("", "empty"),
+        ("hello", "no 'key=value'"),
+        ("[net]\nwidth=8\nheight=8\n", "a detector"),
+        ("[net]\nwidth=8\nheight=8\n[maxpool]\n", r"\[yolo\]"),
+    ],
 )
 def test_a_file_that_is_no_cfg(tmp_path, content, said):
     (tmp_path / "net.cfg").write_text(content)
@@ -295,9 +300,3 @@ def test_missing_files(tmp_path):
     (tmp_path / "net.cfg").write_text(CFG)
     with pytest.raises(WeightsError, match=r"net\.weights: No such file.*stillroom download models"):
         onnx_model(tmp_path / "net.cfg", tmp_path / "net.weights")
-
-
-def test_a_network_without_boxes_is_refused(tmp_path):
-    (tmp_path / "net.cfg").write_text("[net]\nwidth=8\nheight=8\n[maxpool]\nsize=2\nstride=2\n")
-    with pytest.raises(WeightsError, match=r"\[yolo\]"):
-        convert(read_cfg(tmp_path / "net.cfg"), [])

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from stillroom.data.image import RgbdImage
-from stillroom.data.locations import cache_folder, models_folder
+from stillroom.data.locations import cache_folder, models_folder, models_home
 from stillroom.data.semantics import Box
 from stillroom.errors import ConfigError, WeightsError
 from stillroom.geometry.arrays import F32, F64, I64, U8

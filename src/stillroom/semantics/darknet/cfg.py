@@ -60,7 +60,8 @@ def read_cfg(path: Path) -> Network:
     """Read a darknet cfg.
 
     Raises:
-        WeightsError: The file is missing or empty, or has a layer, option or value that is not supported.
+        WeightsError: The file is missing or empty, is no detector, or has a layer, option or value that is not
+            supported.
     """
     sections = _read_sections(path)
     net = sections[0]
@@ -73,9 +74,10 @@ def read_cfg(path: Path) -> Network:
         layer = _read_layer(section, shapes, input_shape)
         shapes.append(_shape_after(layer, shapes, input_shape, section))
         layers.append(layer)
-    if not layers:
-        raise WeightsError(f"{path}: has no layers")
-    return Network(input_shape, tuple(layers), tuple(shapes))
+    network = Network(input_shape, tuple(layers), tuple(shapes))
+    if not network.heads or not isinstance(layers[0], Convolution):
+        raise WeightsError(f"{path}: a detector begins with a [convolutional] layer and has a [yolo] layer")
+    return network
 
 
 def read_bytes(path: Path) -> bytes:

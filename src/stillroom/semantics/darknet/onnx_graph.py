@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from stillroom.data.locations import cache_folder
-from stillroom.errors import WeightsError
 from stillroom.semantics.darknet.cfg import fingerprint, read_cfg
 from stillroom.semantics.darknet.network import (
     Convolution,
@@ -54,15 +53,9 @@ def onnx_model(cfg: Path, weights: Path) -> bytes:
 
 
 def convert(network: Network, weights: list[ConvolutionWeights]) -> bytes:
-    """Return the ONNX model of a network; `weights` are those of its convolutions, in order.
-
-    Raises:
-        WeightsError: The network does not begin with a convolution, or has no yolo layer.
-    """
+    """Return the ONNX model of a network that begins with a convolution; `weights` are its convolutions', in order."""
     from onnx import TensorProto, checker, helper
 
-    if not isinstance(network.layers[0], Convolution) or not network.heads:
-        raise WeightsError("a detector begins with a [convolutional] layer and has a [yolo] layer; this has not")
     graph = _Graph(network, weights)
     for index, layer in enumerate(network.layers):
         graph.add(index, layer)

@@ -73,9 +73,12 @@ def find_folder(named: str = "") -> Path:
     folder = Path(named) if named else models_folder(FOLDER)
     if folder is not None and folder.is_dir():
         return folder
-    usual = ("$STILLROOM_MODELS", str(cache_folder() / "models"), "../shared/models")
-    places = named or ", ".join(f"{place}/{FOLDER}" for place in usual)
-    raise WeightsError(f"YOLO-Fastest's weights are not in {places}; fetch them with 'stillroom download models'")
+    usual = dict.fromkeys((models_home(), cache_folder() / "models", Path("../shared/models")))
+    places = named or ", ".join(str(place / FOLDER) for place in usual)
+    raise WeightsError(
+        f"YOLO-Fastest's weights are not in {places}; fetch them with 'stillroom download models', "
+        "or name the folder that holds them in STILLROOM_MODELS"
+    )
 
 
 class YoloFastest:

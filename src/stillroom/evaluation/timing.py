@@ -1,0 +1,175 @@
+"""What each stage of a frame costs, and the unit that costs are quoted in."""
+
+import csv
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ParamSpec, TypeVar
+
+import cv2
+import numpy as np
+
+from stillroom.geometry.arrays import U8
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+FRAME = "frame"
+"""The stage that holds a whole frame: whoever runs frames wraps `process` in it."""
+
+
+@dataclass
+class _Cost:
+    """What one stage took in one frame, its calls added up."""
+
+    wall_ns: int = 0
+    cpu_ns: int = 0
+
+
+@dataclass(frozen=True)
+class StageTime:
+    """What a stage costs.
+
+    Attributes:
+        stage: Its name.
+        n_frames: Frames in which it ran.
+        wall_median_ms, wall_p95_ms: Over the frames in which it ran [ms], by the clock on the wall.
+        wall_mean_ms: Over all frames [ms]: a stage that runs now and then counts with its share.
+        cpu_median_ms, cpu_p95_ms, cpu_mean_ms: The same in CPU time of the stage's own thread, which other
+            programs on the machine disturb less.
+    """
+
+    stage: str
+    n_frames: int
+    wall_median_ms: float
+    wall_p95_ms: float
+    wall_mean_ms: float
+    cpu_median_ms: float
+    cpu_p95_ms: float
+    cpu_mean_ms: float
+
+
+class StageClock:
+    """Notes wall and thread CPU time per stage and frame.
+
+    Stages may nest, each counts all that runs inside it, and may run on any thread; a call counts for the frame
+    that is present when it ends.
+    """
+
+    def __init__(self) -> None:
+        self._frames: list[tuple[int, dict[str, _Cost]]] = []
+        self._present: dict[str, _Cost] = {}
+        self._lock = threading.Lock()
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Time the block under a name."""
+        wall_ns, cpu_ns = time.perf_counter_ns(), time.thread_time_ns()
+        try:
+            yield
+        finally:
+            cpu_ns, wall_ns = time.thread_time_ns() - cpu_ns, time.perf_counter_ns() - wall_ns
+            with self._lock:
+                cost = self._present.setdefault(name, _Cost())
+                cost.wall_ns += wall_ns
+                cost.cpu_ns += cpu_ns
+
+    def timed(self, name: str, function: Callable[P, T]) -> Callable[P, T]:
+        """Return the function, timed under a name."""
+
+        def timed_function(*args: P.args, **kwargs: P.kwargs) -> T:
+            with self.stage(name):
+                return function(*args, **kwargs)
+
+        return timed_function
+
+    def next_frame(self, index: int | None = None) -> None:
+        """End the present frame's row.
+
+        Args:
+            index: The frame's place in its sequence; counted from 0 where not given.
+        """
+        with self._lock:
+            self._frames.append((len(self._frames) if index is None else index, self._present))
+            self._present = {}
+
+    @property
+    def n_frames(self) -> int:
+        """Number of frames ended."""
+        return len(self._frames)
+
+    def summary(self) -> list[StageTime]:
+        """Return what each stage cost, the most costly first."""
+        summaries = [self._summary(name) for name in self._stages()]
+        return sorted(summaries, key=lambda summary: -summary.cpu_mean_ms)
+
+    def write_csv(self, path: Path) -> None:
+        """Write a line for each frame, and for each stage its wall and CPU time [ms]; empty where it did not run."""
+        stages = self._stages()
+        with path.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            writer.writerow(["frame", *(f"{name}_{kind}_ms" for name in stages for kind in ("wall", "cpu"))])
+            for index, costs in self._frames:
+                cells: list[str] = []
+                for name in stages:
+                    cost = costs.get(name)
+                    cells += ["", ""] if cost is None else [_ms(cost.wall_ns), _ms(cost.cpu_ns)]
+                writer.writerow([index, *cells])
+
+    def _stages(self) -> list[str]:
+        """Return the names of all stages, in the order in which they first ended."""
+        return list(dict.fromkeys(name for _, costs in self._frames for name in costs))
+
+    def _summary(self, name: str) -> StageTime:
+        costs = [frame[name] for _, frame in self._frames if name in frame]
+        wall_ms = np.array([cost.wall_ns for cost in costs]) * 1e-6
+        cpu_ms = np.array([cost.cpu_ns for cost in costs]) * 1e-6
+        return StageTime(
+            stage=name,
+            n_frames=len(costs),
+            wall_median_ms=float(np.median(wall_ms)),
+            wall_p95_ms=float(np.percentile(wall_ms, 95)),
+            wall_mean_ms=float(wall_ms.sum() / len(self._frames)),
+            cpu_median_ms=float(np.median(cpu_ms)),
+            cpu_p95_ms=float(np.percentile(cpu_ms, 95)),
+            cpu_mean_ms=float(cpu_ms.sum() / len(self._frames)),
+        )
+
+
+def _ms(ns: int) -> str:
+    return f"{ns * 1e-6:.4f}"
+
+
+def unit_ms(images: Sequence[U8]) -> float:
+    """Return the mean CPU time [ms] of one `cv2.ORB_create(1000).detectAndCompute` on the images, on one thread.
+
+    Figures in this unit hold across machines; take it in the same process and on the same frames as the figures.
+
+    Args:
+        images: At least one gray image (H, W) uint8.
+    """
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        orb = cv2.ORB.create(1000)
+        orb.detectAndCompute(images[0], None)  # the first call allocates
+        start_ns = time.thread_time_ns()
+        for image in images:
+            orb.detectAndCompute(image, None)
+        return (time.thread_time_ns() - start_ns) * 1e-6 / len(images)
+    finally:
+        cv2.setNumThreads(threads)
+
+
+def peak_memory_mb() -> float:
+    """Return the most memory that this process has held so far [MB of 10⁶ bytes]; NaN where the system won't say."""
+    try:
+        import resource
+    except ImportError:  # not a Unix
+        return float("nan")
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak * (1.0 if sys.platform == "darwin" else 1024.0) * 1e-6

@@ -1,0 +1,236 @@
+"""Bundle adjustment: keyframes and points together, robust, with outliers told apart.
+
+After ORB-SLAM2's local bundle adjustment (Mur-Artal and Tardós 2017, section III-B; REFERENCE section 3):
+Levenberg–Marquardt with a Schur complement over the points.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import LinAlgError, cho_factor, cho_solve
+
+from stillroom.geometry.arrays import F64, Bool, Floats, Ints
+from stillroom.geometry.camera import Camera
+from stillroom.optimize.bundle_kernels import (
+    evaluate,
+    factor_points,
+    keep_in_front,
+    linearize,
+    move_cameras,
+    move_points,
+    reduce_to_cameras,
+)
+from stillroom.optimize.projection import intrinsics_of
+
+
+@dataclass(frozen=True)
+class BundleProblem:
+    """Keyframes, points, and who saw what where.
+
+    Attributes:
+        T_cam_world: Keyframe poses (K, 4, 4).
+        is_fixed: Keyframes that hold still (K,) bool; with none of them the result floats freely.
+        points_world_m: Points (P, 3) [m].
+        obs_keyframe, obs_point: Indices into the above (O,), in any order.
+        observed_px: u, v, u_right (O, 3) [px], undistorted; u_right is not read where its weight is 0.
+        weights: Inverse variances (O, 3) [1/px²]; the third is 0 where there is no right coordinate.
+    """
+
+    T_cam_world: Floats
+    is_fixed: Bool
+    points_world_m: Floats
+    obs_keyframe: Ints
+    obs_point: Ints
+    observed_px: Floats
+    weights: Floats
+
+
+@dataclass(frozen=True)
+class BundleResult:
+    """The adjusted keyframes and points.
+
+    Attributes:
+        T_cam_world: Keyframe poses (K, 4, 4) float64.
+        points_world_m: Points (P, 3) float64 [m].
+        is_inlier: Which observations agree (O,) bool, in the problem's order.
+        initial_cost, final_cost: Huber's Σρ(χ²) of the observations that were in front of their cameras at the start.
+        n_iterations: Steps tried, of both passes together.
+    """
+
+    T_cam_world: F64
+    points_world_m: F64
+    is_inlier: Bool
+    initial_cost: float
+    final_cost: float
+    n_iterations: int
+
+
+@dataclass(frozen=True)
+class BundleConfig:
+    """Bundle adjustment.
+
+    Attributes:
+        iterations_first: Iterations with Huber's kernel, at most; the outliers then leave.
+        iterations_second: Iterations without it, at most.
+        chi2_2d, chi2_3d: Limits on χ², and squared thresholds of Huber's kernel, without and with a right coordinate.
+        first_damping: Levenberg–Marquardt's λ at the start of each pass, relative to the diagonal.
+        min_relative_decrease: A pass ends when a step lowers the cost by no more than this part of it.
+    """
+
+    iterations_first: int = 5
+    iterations_second: int = 10
+    chi2_2d: float = 5.991
+    chi2_3d: float = 7.815
+    first_damping: float = 1e-4
+    min_relative_decrease: float = 1e-3
+
+    def build(self) -> "BundleAdjuster":
+        """Return the adjuster."""
+        return BundleAdjuster(self)
+
+
+def _require_indices(what: str, indices: Ints, count: int) -> None:
+    """Raise IndexError unless all indices lie in [0, count): the kernels would read beyond their arrays."""
+    if len(indices) and not (indices.min() >= 0 and indices.max() < count):
+        raise IndexError(f"an observation names a {what} outside 0 … {count - 1}")
+
+
+class _Adjustment:
+    """One problem in the kernels' order, its present estimate, and the scratch of its steps."""
+
+    def __init__(self, problem: BundleProblem, camera: Camera) -> None:
+        n_keyframes, n_points = len(problem.T_cam_world), len(problem.points_world_m)
+        _require_indices("keyframe", problem.obs_keyframe, n_keyframes)
+        _require_indices("point", problem.obs_point, n_points)
+        self.free = np.flatnonzero(~np.asarray(problem.is_fixed, dtype=np.bool_))
+        slot_of = np.full(n_keyframes, -1, dtype=np.int64)
+        slot_of[self.free] = np.arange(len(self.free))
+        obs_slot = slot_of[problem.obs_keyframe]
+        obs_point = np.asarray(problem.obs_point, dtype=np.int64)
+        self.order = np.argsort(obs_point * (len(self.free) + 1) + obs_slot, kind="stable")
+        counts = np.bincount(obs_point, minlength=n_points)
+        starts = np.concatenate((np.zeros(1, dtype=np.int64), np.cumsum(counts, dtype=np.int64)))
+        self.starts, self.slots = starts, obs_slot[self.order]
+        self.T = np.array(problem.T_cam_world, dtype=np.float64).reshape(-1, 4, 4)
+        self.points = np.array(problem.points_world_m, dtype=np.float64).reshape(-1, 3)
+        self.T_trial, self.points_trial = self.T.copy(), self.points.copy()
+        self.weights = np.asarray(problem.weights, dtype=np.float64).reshape(-1, 3)[self.order]
+        n_observations, n_free = len(self.order), len(self.free)
+        self.is_active = np.ones(n_observations, dtype=np.bool_)
+        self.keyframes = np.asarray(problem.obs_keyframe, dtype=np.int64)[self.order]
+        self.observations = (
+            starts,
+            self.keyframes,
+            np.asarray(problem.observed_px, dtype=np.float64).reshape(-1, 3)[self.order],
+            self.weights,
+            self.is_active,
+            intrinsics_of(camera),
+        )
+        self.chi2 = np.empty(n_observations)
+        self.blocks = (
+            np.empty((n_free, 6, 6)),
+            np.empty((n_free, 6)),
+            np.empty((n_points, 6)),
+            np.empty((n_points, 3)),
+            np.empty((n_observations, 3, 6)),
+        )
+        self.factors = np.empty((n_points, 6))
+        self.scratch = np.empty((int(counts.max(initial=0)), 3, 6))
+        self.S, self.rhs = np.empty((n_free, 6, n_free, 6)), np.empty((n_free, 6))
+
+    def evaluate(self, T: F64, points: F64, deltas2: tuple[float, float]) -> float:
+        """Return the robust cost of the active observations; leaves every observation's χ² in `chi2`."""
+        return float(evaluate(T, points, *self.observations, *deltas2, self.chi2))
+
+    def linearize(self, deltas2: tuple[float, float]) -> None:
+        """Set up the normal equations at the present estimate."""
+        linearize(self.T, self.points, *self.observations, *deltas2, self.slots, *self.blocks)
+
+    def try_step(self, damping: float) -> bool:
+        """Write the damped step's outcome into the trial estimate; return whether there is one."""
+        H_cc, b_c, H_pp, b_p, W = self.blocks
+        factor_points(H_pp, damping, self.factors)
+        reduce_to_cameras(
+            self.starts, self.slots, H_cc, b_c, self.factors, b_p, W, damping, self.scratch, self.S, self.rhs
+        )
+        size = self.rhs.size
+        xi = np.zeros((0, 6))
+        if size:
+            try:
+                # The transpose is what LAPACK wants to work in place: its upper triangle is our lower one.
+                system = cho_factor(self.S.reshape(size, size).T, overwrite_a=True, check_finite=False)
+            except LinAlgError:
+                return False
+            xi = cho_solve(system, self.rhs.reshape(size), check_finite=False).reshape(-1, 6)
+            if not np.isfinite(xi).all():
+                return False
+        move_cameras(self.T, self.free, xi, self.T_trial)
+        move_points(self.points, self.starts, self.slots, self.factors, b_p, W, xi, self.points_trial)
+        keep_in_front(self.T, self.points, self.T_trial, self.points_trial, self.starts, self.keyframes, self.is_active)
+        return True
+
+    def accept(self) -> None:
+        """Make the trial estimate the present one."""
+        self.T, self.T_trial = self.T_trial, self.T
+        self.points, self.points_trial = self.points_trial, self.points
+
+
+class BundleAdjuster:
+    """Adjusts keyframes and points to what was observed."""
+
+    def __init__(self, config: BundleConfig | None = None) -> None:
+        self.config = config or BundleConfig()
+
+    def __call__(self, problem: BundleProblem, camera: Camera) -> BundleResult:
+        """Adjust the free keyframes and all points, and judge every observation.
+
+        A first pass with Huber's kernel over all observations in front of their cameras; those beyond their χ² limit
+        leave; a second pass without the kernel; a last verdict on every observation. The estimate changes only by
+        steps that lower the cost, so it is never worse than the start, and never NaN for a start that was not.
+
+        Differs from ORB-SLAM2: damping relative to the diagonal, and a pass ends early when it has converged.
+
+        Raises:
+            IndexError: An observation names a keyframe or point that does not exist.
+        """
+        config = self.config
+        work = _Adjustment(problem, camera)
+        limits = (config.chi2_2d, config.chi2_3d)
+        limit = np.where(work.weights[:, 2] > 0.0, config.chi2_3d, config.chi2_2d)
+        work.is_active[:] = False
+        work.evaluate(work.T, work.points, limits)
+        at_start = np.isfinite(work.chi2)
+        work.is_active[:] = at_start
+        initial_cost = work.evaluate(work.T, work.points, limits)
+        n_iterations = self._minimize(work, config.iterations_first, limits)
+        work.evaluate(work.T, work.points, limits)
+        work.is_active[:] = work.chi2 <= limit
+        n_iterations += self._minimize(work, config.iterations_second, (np.inf, np.inf))
+        work.is_active[:] = at_start
+        final_cost = work.evaluate(work.T, work.points, limits)
+        is_inlier = np.empty(len(limit), dtype=np.bool_)
+        is_inlier[work.order] = work.chi2 <= limit
+        return BundleResult(work.T, work.points, is_inlier, initial_cost, final_cost, n_iterations)
+
+    def _minimize(self, work: _Adjustment, iterations: int, deltas2: tuple[float, float]) -> int:
+        """Run Levenberg–Marquardt on the active observations; return how many steps were tried."""
+        if not work.is_active.any():
+            return 0
+        damping, growth = self.config.first_damping, 2.0
+        cost = work.evaluate(work.T, work.points, deltas2)
+        stale = True
+        for iteration in range(iterations):
+            if stale:
+                work.linearize(deltas2)
+            solved = work.try_step(damping)
+            trial = work.evaluate(work.T_trial, work.points_trial, deltas2) if solved else np.inf
+            stale = trial <= cost
+            if not stale:
+                damping, growth = damping * growth, 2.0 * growth
+                continue
+            decrease, cost = cost - trial, trial
+            work.accept()
+            damping, growth = max(damping / 3.0, 1e-9), 2.0
+            if decrease <= self.config.min_relative_decrease * cost:
+                return iteration + 1
+        return iterations

@@ -1,0 +1,270 @@
+"""The loops of bundle adjustment. Observations come sorted by point, within a point by free keyframe.
+
+Shapes: K keyframes of which F are free, P points, O observations. `starts` (P + 1,) delimits each point's observations;
+`slots` (O,) is the observing keyframe's index among the free ones, −1 where it is fixed.
+"""
+
+import math
+
+import numba
+import numpy as np
+
+from stillroom.geometry.arrays import F64, I64, Bool
+from stillroom.optimize.projection import (
+    MIN_DEPTH_M,
+    behind_chi_square,
+    camera_blocks,
+    chi_square,
+    huber,
+    point_information,
+    residual,
+    retract,
+    to_camera,
+)
+
+_FLOOR = 1e-9
+"""Added to every diagonal entry: what nothing observes stays where it is, and nothing becomes singular."""
+
+
+@numba.njit(nogil=True, cache=True)
+def evaluate(
+    T: F64,
+    points: F64,
+    starts: I64,
+    keyframes: I64,
+    observed: F64,
+    weights: F64,
+    is_active: Bool,
+    intrinsics: F64,
+    delta2_2d: float,
+    delta2_3d: float,
+    chi2: F64,
+) -> float:
+    """Write χ² (O,) of every observation; return the robust cost Σρ of the active ones."""
+    cost = 0.0
+    for p in range(points.shape[0]):
+        for o in range(starts[p], starts[p + 1]):
+            x, y, z = to_camera(T[keyframes[o]], points[p, 0], points[p, 1], points[p, 2])
+            chi2[o] = chi_square(x, y, z, observed[o], weights[o], intrinsics)
+            if is_active[o]:
+                seen = chi2[o] < np.inf
+                value = chi2[o] if seen else behind_chi_square(weights[o], intrinsics)
+                cost += huber(value, delta2_3d if weights[o, 2] > 0.0 else delta2_2d)[0]
+    return cost
+
+
+@numba.njit(nogil=True, cache=True)
+def mixed_block(R: F64, x: float, y: float, z: float, information: tuple[float, ...], block: F64) -> None:
+    """Write GᵀJᵀWJR, transposed, into `block` (3, 6): with B = JᵀWJ R it is [B; [x]× B], column by column."""
+    a00, a01, a02, a11, a12, a22 = information[:6]
+    for k in range(3):
+        m0 = a00 * R[0, k] + a01 * R[1, k] + a02 * R[2, k]
+        m1 = a01 * R[0, k] + a11 * R[1, k] + a12 * R[2, k]
+        m2 = a02 * R[0, k] + a12 * R[1, k] + a22 * R[2, k]
+        block[k, 0], block[k, 1], block[k, 2] = m0, m1, m2
+        block[k, 3] = y * m2 - z * m1
+        block[k, 4] = z * m0 - x * m2
+        block[k, 5] = x * m1 - y * m0
+
+
+@numba.njit(nogil=True, cache=True)
+def linearize(
+    T: F64,
+    points: F64,
+    starts: I64,
+    keyframes: I64,
+    observed: F64,
+    weights: F64,
+    is_active: Bool,
+    intrinsics: F64,
+    delta2_2d: float,
+    delta2_3d: float,
+    slots: I64,
+    H_cc: F64,
+    b_c: F64,
+    H_pp: F64,
+    b_p: F64,
+    W: F64,
+) -> None:
+    """Write the normal equations' blocks, sums over the active observations.
+
+    Cameras: lower triangles `H_cc` (F, 6, 6) and `b_c` (F, 6). Points: the lower triangles `H_pp` (P, 6) as 00 10 11
+    20 21 22, and `b_p` (P, 3). Mixed, one an observation: `W` (O, 3, 6), point by camera; zero if inactive.
+    """
+    H_cc[:] = 0.0
+    b_c[:] = 0.0
+    for p in range(points.shape[0]):
+        h00, h10, h11, h20, h21, h22 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        q0, q1, q2 = 0.0, 0.0, 0.0
+        for o in range(starts[p], starts[p + 1]):
+            W[o] = 0.0
+            if not is_active[o]:
+                continue
+            R = T[keyframes[o]]
+            x, y, z = to_camera(R, points[p, 0], points[p, 1], points[p, 2])
+            chi2 = chi_square(x, y, z, observed[o], weights[o], intrinsics)
+            if not chi2 < np.inf:
+                continue
+            has_right = weights[o, 2] > 0.0
+            factor = huber(chi2, delta2_3d if has_right else delta2_2d)[1]
+            e_u, e_v, e_r = residual(x, y, z, observed[o], intrinsics, has_right)
+            info = point_information(x, y, z, e_u, e_v, e_r, weights[o], factor, intrinsics)
+            g0, g1, g2 = info[6], info[7], info[8]
+            if slots[o] >= 0:
+                camera_blocks(x, y, z, info, H_cc[slots[o]], b_c[slots[o]])
+            mixed_block(R, x, y, z, info, W[o])
+            h00 += R[0, 0] * W[o, 0, 0] + R[1, 0] * W[o, 0, 1] + R[2, 0] * W[o, 0, 2]
+            h10 += R[0, 1] * W[o, 0, 0] + R[1, 1] * W[o, 0, 1] + R[2, 1] * W[o, 0, 2]
+            h20 += R[0, 2] * W[o, 0, 0] + R[1, 2] * W[o, 0, 1] + R[2, 2] * W[o, 0, 2]
+            h11 += R[0, 1] * W[o, 1, 0] + R[1, 1] * W[o, 1, 1] + R[2, 1] * W[o, 1, 2]
+            h21 += R[0, 2] * W[o, 1, 0] + R[1, 2] * W[o, 1, 1] + R[2, 2] * W[o, 1, 2]
+            h22 += R[0, 2] * W[o, 2, 0] + R[1, 2] * W[o, 2, 1] + R[2, 2] * W[o, 2, 2]
+            q0 += R[0, 0] * g0 + R[1, 0] * g1 + R[2, 0] * g2
+            q1 += R[0, 1] * g0 + R[1, 1] * g1 + R[2, 1] * g2
+            q2 += R[0, 2] * g0 + R[1, 2] * g1 + R[2, 2] * g2
+        H_pp[p, 0], H_pp[p, 1], H_pp[p, 2] = h00, h10, h11
+        H_pp[p, 3], H_pp[p, 4], H_pp[p, 5] = h20, h21, h22
+        b_p[p, 0], b_p[p, 1], b_p[p, 2] = q0, q1, q2
+
+
+@numba.njit(nogil=True, cache=True)
+def factor_points(H_pp: F64, damping: float, L: F64) -> None:
+    """Write Cholesky factors `L` (P, 6) of the damped point blocks as 1/l00 l10 1/l11 l20 l21 1/l22.
+
+    Zeros where there is none: such a point stays where it is in this step.
+    """
+    for p in range(H_pp.shape[0]):
+        d0 = H_pp[p, 0] * (1.0 + damping) + _FLOOR
+        l00 = math.sqrt(d0) if d0 > 0.0 else 0.0
+        l10 = H_pp[p, 1] / l00 if l00 > 0.0 else 0.0
+        l20 = H_pp[p, 3] / l00 if l00 > 0.0 else 0.0
+        d1 = H_pp[p, 2] * (1.0 + damping) + _FLOOR - l10 * l10
+        l11 = math.sqrt(d1) if d1 > 0.0 else 0.0
+        l21 = (H_pp[p, 4] - l20 * l10) / l11 if l11 > 0.0 else 0.0
+        d2 = H_pp[p, 5] * (1.0 + damping) + _FLOOR - l20 * l20 - l21 * l21
+        l22 = math.sqrt(d2) if d2 > 0.0 else 0.0
+        if l00 * l11 * l22 > 0.0:
+            L[p, 0], L[p, 1], L[p, 2] = 1.0 / l00, l10, 1.0 / l11
+            L[p, 3], L[p, 4], L[p, 5] = l20, l21, 1.0 / l22
+        else:
+            L[p] = 0.0
+
+
+@numba.njit(nogil=True, cache=True)
+def reduce_to_cameras(
+    starts: I64,
+    slots: I64,
+    H_cc: F64,
+    b_c: F64,
+    L: F64,
+    b_p: F64,
+    W: F64,
+    damping: float,
+    Z: F64,
+    S: F64,
+    rhs: F64,
+) -> None:
+    """Write the damped reduced system: `S` (F, 6, F, 6), lower block triangle, and `rhs` (F, 6); S ξ = rhs.
+
+    With H_pp = L Lᵀ and Z = W L⁻ᵀ, S = H_cc − Σ Z Zᵀ and rhs = −b_c + Σ Z L⁻¹ b_p, point by point. `Z` is scratch
+    (3, 6) for as many observations as a point has at most.
+    """
+    S[:] = 0.0
+    for f in range(b_c.shape[0]):
+        for a in range(6):
+            rhs[f, a] = -b_c[f, a]
+            for b in range(a + 1):
+                S[f, a, f, b] = H_cc[f, a, b]
+            S[f, a, f, a] += damping * H_cc[f, a, a] + _FLOOR
+    for p in range(b_p.shape[0]):
+        i0, l10, i1, l20, l21, i2 = L[p, 0], L[p, 1], L[p, 2], L[p, 3], L[p, 4], L[p, 5]
+        y0 = i0 * b_p[p, 0]
+        y1 = i1 * (b_p[p, 1] - l10 * y0)
+        y2 = i2 * (b_p[p, 2] - l20 * y0 - l21 * y1)
+        for o in range(starts[p], starts[p + 1]):
+            f = slots[o]
+            if f < 0:
+                continue
+            Zo = Z[o - starts[p]]
+            for a in range(6):
+                z0 = i0 * W[o, 0, a]
+                z1 = i1 * (W[o, 1, a] - l10 * z0)
+                z2 = i2 * (W[o, 2, a] - l20 * z0 - l21 * z1)
+                Zo[0, a], Zo[1, a], Zo[2, a] = z0, z1, z2
+                rhs[f, a] += z0 * y0 + z1 * y1 + z2 * y2
+            for other in range(starts[p], o + 1):
+                g = slots[other]
+                if g < 0:
+                    continue
+                Zg = Z[other - starts[p]]
+                for a in range(6):
+                    for b in range(6):
+                        S[f, a, g, b] -= Zo[0, a] * Zg[0, b] + Zo[1, a] * Zg[1, b] + Zo[2, a] * Zg[2, b]
+                if g == f and other != o:  # one keyframe, one point, two observations: both orders meet here
+                    for a in range(6):
+                        for b in range(6):
+                            S[f, a, f, b] -= Zg[0, a] * Zo[0, b] + Zg[1, a] * Zo[1, b] + Zg[2, a] * Zo[2, b]
+
+
+@numba.njit(nogil=True, cache=True)
+def move_points(points: F64, starts: I64, slots: I64, L: F64, b_p: F64, W: F64, xi: F64, moved: F64) -> None:
+    """Write points − H_pp⁻¹ (b_p + Σ Wᵀξ) into `moved` (P, 3), given the cameras' step `xi` (F, 6)."""
+    for p in range(points.shape[0]):
+        q0, q1, q2 = b_p[p, 0], b_p[p, 1], b_p[p, 2]
+        for o in range(starts[p], starts[p + 1]):
+            f = slots[o]
+            if f >= 0:
+                for a in range(6):
+                    q0 += W[o, 0, a] * xi[f, a]
+                    q1 += W[o, 1, a] * xi[f, a]
+                    q2 += W[o, 2, a] * xi[f, a]
+        i0, l10, i1, l20, l21, i2 = L[p, 0], L[p, 1], L[p, 2], L[p, 3], L[p, 4], L[p, 5]
+        y0 = i0 * q0
+        y1 = i1 * (q1 - l10 * y0)
+        y2 = i2 * (q2 - l20 * y0 - l21 * y1)
+        s2 = i2 * y2
+        s1 = i1 * (y1 - l21 * s2)
+        s0 = i0 * (y0 - l10 * s1 - l20 * s2)
+        finite = abs(s0) + abs(s1) + abs(s2) < np.inf
+        moved[p, 0] = points[p, 0] - s0 if finite else points[p, 0]
+        moved[p, 1] = points[p, 1] - s1 if finite else points[p, 1]
+        moved[p, 2] = points[p, 2] - s2 if finite else points[p, 2]
+
+
+@numba.njit(nogil=True, cache=True)
+def keep_in_front(
+    T: F64,
+    points: F64,
+    T_trial: F64,
+    moved: F64,
+    starts: I64,
+    keyframes: I64,
+    is_active: Bool,
+) -> None:
+    """Shorten the steps in `moved` (P, 3) that would carry a point behind a camera which it was in front of.
+
+    Behind a camera an observation has no derivative that could bring the point back. A badly seen point thus loses
+    part of its step and all others keep theirs; halved three times in vain, it stays where it is.
+    """
+    for p in range(points.shape[0]):
+        for attempt in range(4):
+            crosses = False
+            for o in range(starts[p], starts[p + 1]):
+                k = keyframes[o]
+                if not is_active[o] or to_camera(T_trial[k], moved[p, 0], moved[p, 1], moved[p, 2])[2] > MIN_DEPTH_M:
+                    continue
+                if to_camera(T[k], points[p, 0], points[p, 1], points[p, 2])[2] > MIN_DEPTH_M:
+                    crosses = True
+                    break
+            if not crosses:
+                break
+            for axis in range(3):
+                middle = 0.5 * (points[p, axis] + moved[p, axis])
+                moved[p, axis] = middle if attempt < 3 else points[p, axis]
+
+
+@numba.njit(nogil=True, cache=True)
+def move_cameras(T: F64, free: I64, xi: F64, moved: F64) -> None:
+    """Write exp(ξ) T of the free keyframes (F,) into `moved` (K, 4, 4); the others stay as `moved` has them."""
+    for f in range(free.shape[0]):
+        retract(T[free[f]], xi[f], moved[free[f]])

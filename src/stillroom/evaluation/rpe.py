@@ -37,9 +37,9 @@ def rpe(estimate: Trajectory, groundtruth: Trajectory, delta_s: float = 1.0) -> 
     """Measure drift over a time by the rule of `evaluate_rpe.py --fixed_delta --delta DELTA --delta_unit s`.
 
     As there, a pose is paired with the one whose time is closest to its own plus the interval, however far off
-    that lies in a gap of the estimate (it may be the pose itself); pairs that end on the last pose are left out; a pose counts only when the
-    ground truth has one within twice its median step. There, more than 10,000 pairs are sampled at random; here
-    all count.
+    that lies in a gap of the estimate (it may be the pose itself); pairs that end on the last pose are left out;
+    a pose counts only when the ground truth has one within twice its median step. There, more than 10,000 pairs
+    are sampled at random; here all count.
 
     Raises:
         TrajectoryError: The two cannot be compared (see `check_comparable`), or fewer than two pairs are found.

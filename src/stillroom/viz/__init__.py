@@ -1,0 +1,1 @@
+"""Pictures: of trajectories, and of what the sieves said of a frame."""

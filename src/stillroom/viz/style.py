@@ -1,0 +1,69 @@
+"""How Stillroom's plots look, and how they are written."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from stillroom.errors import StillroomError
+
+TRUTH = "#30343b"
+"""Colour of the ground truth."""
+
+ESTIMATES = ("#1b7fc4", "#e0533d", "#2f9e67", "#9a5fc1", "#c98a12", "#5a6b7b")
+"""Colours of the estimates, in order; told apart by colour-blind readers too."""
+
+_RC: dict[str, Any] = {
+    "font.family": "sans-serif",
+    "font.sans-serif": ["DejaVu Sans"],
+    "font.size": 10,
+    "axes.titlesize": 12,
+    "axes.titlelocation": "left",
+    "axes.titlepad": 12,
+    "axes.titlecolor": "#22262c",
+    "axes.labelcolor": "#4a4f57",
+    "axes.edgecolor": "#b9bec6",
+    "axes.linewidth": 0.8,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#e8eaee",
+    "grid.linewidth": 0.8,
+    "xtick.color": "#b9bec6",
+    "ytick.color": "#b9bec6",
+    "xtick.labelcolor": "#4a4f57",
+    "ytick.labelcolor": "#4a4f57",
+    "legend.frameon": False,
+    "lines.linewidth": 1.6,
+    "lines.solid_capstyle": "round",
+    "figure.facecolor": "white",
+}
+
+
+@contextmanager
+def picture(path: Path, width_in: float, height_in: float) -> Iterator[Any]:
+    """Give a matplotlib figure in the house style, and write it as PNG when the block ends well.
+
+    No display is needed and no global state is touched: plots may be drawn on any thread of a server.
+
+    Args:
+        path: The file to write; its folder is made.
+        width_in, height_in: Size in inches, of 150 pixels each.
+
+    Raises:
+        StillroomError: The file cannot be written.
+    """
+    import matplotlib as mpl
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    with mpl.rc_context(_RC):
+        figure = Figure(figsize=(width_in, height_in), dpi=150, layout="constrained")
+        FigureCanvasAgg(figure)
+        yield figure
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            figure.savefig(path, format="png")
+        except OSError as error:
+            raise StillroomError(f"{path}: cannot be written ({error.strerror})") from error

@@ -1,0 +1,1 @@
+"""Sequences from disk (or rendered), behind one socket: `stillroom.protocols.Dataset`."""

@@ -1,0 +1,213 @@
+"""A sequence of image files: colour and depth paired in time, read when asked for."""
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from stillroom.data.association import TUM_MAX_GAP_S, associate
+from stillroom.data.image import RgbdImage
+from stillroom.data.trajectory import Trajectory, read_tum
+from stillroom.datasets.calibrations import choose_camera
+from stillroom.datasets.images import depth_in_metres, read_depth_units, read_rgb
+from stillroom.errors import CalibrationError, DatasetError, FrameError
+from stillroom.geometry.arrays import F64, I64, U8, U16
+from stillroom.geometry.camera import Camera
+
+log = logging.getLogger(__name__)
+
+GROUNDTRUTH_NAME = "groundtruth.txt"
+PROBED_FRAMES = 5
+LONG_GAP_S = 1.0
+
+
+@dataclass(frozen=True)
+class Listing:
+    """Image files and their times.
+
+    Attributes:
+        source: The list file or folder, for messages.
+        timestamps_s: Times (N,) float64 [s], strictly increasing.
+        files: The images, in the same order.
+    """
+
+    source: Path
+    timestamps_s: F64
+    files: tuple[Path, ...]
+
+
+@dataclass(frozen=True)
+class ImageSequence:
+    """A `Dataset` whose images lie on disk.
+
+    Attributes:
+        name: Short name, used for the results folder.
+        camera: The calibration in force.
+        camera_source: One line that says where it comes from.
+        timestamps_s: Times of the colour images (N,) float64 [s].
+        rgb_files, depth_files: The images.
+        groundtruth: Poses as the data set gives them, where it has any.
+        groundtruth_body: Whose poses they are: "camera", or "marker" for a motion-capture body that rides on it.
+        unpaired: How many listed colour images were left out because no depth image belongs to them.
+    """
+
+    name: str
+    camera: Camera
+    camera_source: str
+    timestamps_s: F64
+    rgb_files: tuple[Path, ...]
+    depth_files: tuple[Path, ...]
+    groundtruth: Trajectory | None = None
+    groundtruth_body: str = "camera"
+    unpaired: int = 0
+
+    def __len__(self) -> int:
+        """Number of images."""
+        return len(self.rgb_files)
+
+    def load(self, index: int) -> RgbdImage:
+        """Read image `index`.
+
+        Raises:
+            IndexError: There is no such image.
+            FrameError: A file is missing, does not decode, or has another size or type than the sequence.
+        """
+        if not 0 <= index < len(self):
+            raise IndexError(f"{self.name}: no image {index}; there are {len(self)}, from 0")
+        rgb, units = _read_pair(self.rgb_files[index], self.depth_files[index])
+        expected = (self.camera.height, self.camera.width)
+        if rgb.shape[:2] != expected:
+            raise FrameError(f"{self.rgb_files[index]}: {_size(rgb)} pixels; the sequence has {_size_of(self.camera)}")
+        depth_m = depth_in_metres(units, self.camera.depth_factor)
+        return RgbdImage(index, float(self.timestamps_s[index]), rgb, depth_m)
+
+
+def build_sequence(
+    folder: Path,
+    rgb: Listing,
+    depth: Listing,
+    camera: str | None = None,
+    name: str | None = None,
+    pairs: tuple[I64, I64] | None = None,
+) -> ImageSequence:
+    """Pair the images, choose the calibration, read the ground truth, and look at the first frames.
+
+    Args:
+        folder: The sequence's folder; its `camera.toml` and `groundtruth.txt` are used where they exist.
+        rgb: Colour images.
+        depth: Depth images.
+        camera: The calibration that the user asks for, a name or a file.
+        name: Name of the sequence; the folder's where not given.
+        pairs: Indices (K,) into `rgb` and (K,) into `depth` of images that belong together; by time, one to one,
+            where not given.
+
+    Raises:
+        DatasetError: A list is empty, nothing pairs, or none of the first frames can be used.
+        CalibrationError: No calibration is known, or its size is not that of the images.
+        TrajectoryError: The ground truth cannot be read.
+    """
+    for listing in (rgb, depth):
+        if not listing.files:
+            raise DatasetError(f"{listing.source}: lists no images; is the sequence complete?")
+    name = name or folder.resolve().name
+    calibration, source = choose_camera(folder, name, camera)
+    of_rgb, of_depth = pairs or associate(rgb.timestamps_s, depth.timestamps_s, TUM_MAX_GAP_S)
+    if len(of_rgb) == 0:
+        raise DatasetError(
+            f"{folder}: no colour image has a depth image within {TUM_MAX_GAP_S} s; are both lists in seconds?"
+        )
+    groundtruth = folder / GROUNDTRUTH_NAME
+    sequence = ImageSequence(
+        name=name,
+        camera=calibration,
+        camera_source=source,
+        timestamps_s=rgb.timestamps_s[of_rgb],
+        rgb_files=tuple(rgb.files[i] for i in of_rgb),
+        depth_files=tuple(depth.files[i] for i in of_depth),
+        groundtruth=read_tum(groundtruth) if groundtruth.exists() else None,
+        unpaired=len(rgb.files) - len(of_rgb),
+    )
+    _probe(folder, sequence)
+    _remark(sequence)
+    return sequence
+
+
+def _probe(folder: Path, sequence: ImageSequence) -> None:
+    """Read the first frame that can be used: what is wrong with all of them is wrong with the sequence."""
+    errors: list[FrameError] = []
+    for rgb_file, depth_file in list(zip(sequence.rgb_files, sequence.depth_files, strict=True))[:PROBED_FRAMES]:
+        try:
+            rgb, _ = _read_pair(rgb_file, depth_file)
+        except FrameError as error:
+            errors.append(error)
+            continue
+        if rgb.shape[:2] != (sequence.camera.height, sequence.camera.width):
+            raise CalibrationError(
+                f"{rgb_file}: {_size(rgb)} pixels, but the camera ({sequence.camera_source}) has "
+                f"{_size_of(sequence.camera)}; give the calibration of this sequence"
+            )
+        return
+    raise DatasetError(f"{folder}: none of the first {len(errors)} frames can be used; {errors[0]}")
+
+
+def _remark(sequence: ImageSequence) -> None:
+    """Say what is odd about a sequence that can be used all the same."""
+    if sequence.unpaired:
+        log.info(
+            "%s: %d of %d colour images have no depth image within %g s and are left out",
+            sequence.name,
+            sequence.unpaired,
+            sequence.unpaired + len(sequence),
+            TUM_MAX_GAP_S,
+        )
+    steps_s = np.diff(sequence.timestamps_s)
+    if len(steps_s) == 0:
+        return
+    # A sequence recorded slowly on purpose is no cause for alarm.
+    limit_s = max(LONG_GAP_S, 5.0 * float(np.median(steps_s)))
+    long = np.flatnonzero(steps_s > limit_s)
+    if len(long):
+        worst = int(long[np.argmax(steps_s[long])])
+        log.warning(
+            "%s: %d gap(s) in time, the longest %.1f s before image %d; tracking may be lost there",
+            sequence.name,
+            len(long),
+            steps_s[worst],
+            worst + 1,
+        )
+
+
+def _read_pair(rgb_file: Path, depth_file: Path) -> tuple[U8, U16]:
+    rgb, units = read_rgb(rgb_file), read_depth_units(depth_file)
+    if rgb.shape[:2] != units.shape:
+        raise FrameError(
+            f"{depth_file}: depth of {_size(units)} pixels, colour of {_size(rgb)}; depth must be registered to colour"
+        )
+    return rgb, units
+
+
+def _size(pixels: U8 | U16) -> str:
+    return f"{pixels.shape[1]}×{pixels.shape[0]}"
+
+
+def _size_of(camera: Camera) -> str:
+    return f"{camera.width}×{camera.height}"
+
+
+def increasing(source: Path, timestamps_s: Sequence[float], places: Sequence[str]) -> F64:
+    """Return times (N,) float64 [s] after making sure that they are finite and strictly increase.
+
+    Raises:
+        DatasetError: One does not; the message names its place.
+    """
+    times = np.asarray(timestamps_s, dtype=np.float64)
+    for wrong in np.flatnonzero(~np.isfinite(times)).tolist():
+        raise DatasetError(f"{source}{places[wrong]}: the timestamp is not a finite number")
+    for step in np.flatnonzero(np.diff(times) <= 0).tolist():
+        word = "repeats" if times[step + 1] == times[step] else "goes back"
+        raise DatasetError(
+            f"{source}{places[step + 1]}: the timestamp {times[step + 1]:.6f} {word}; times must increase, remove it"
+        )
+    return times

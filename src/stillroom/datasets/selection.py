@@ -1,0 +1,163 @@
+"""A part of a sequence, or a sequence with frames taken away or blacked out: what `run --frames` and the like mean."""
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+
+from stillroom.data.image import RgbdImage
+from stillroom.data.semantics import nothing
+from stillroom.data.trajectory import Trajectory
+from stillroom.errors import ConfigError
+from stillroom.geometry.arrays import F64, I64, Bool
+from stillroom.geometry.camera import Camera
+from stillroom.protocols import Dataset
+
+
+class Selected:
+    """A `Dataset` that shows some of another's images.
+
+    Images keep the numbers they have in the original sequence, in `RgbdImage.index` and in every range, also when
+    selections are stacked. Where they stand here is what `load` counts.
+    """
+
+    def __init__(self, inner: Dataset, kept: I64, blackout: Iterable[int] = ()) -> None:
+        """Show the images at places `kept` (K,) of `inner`, in this order; those numbered in `blackout` are black."""
+        self._inner = inner
+        self._kept = kept
+        self._blackout = frozenset(blackout)
+        self._timestamps_s: F64 = np.asarray(inner.timestamps_s, dtype=np.float64)[kept]
+
+    @property
+    def name(self) -> str:
+        """Name of the original."""
+        return self._inner.name
+
+    @property
+    def camera(self) -> Camera:
+        """The calibration in force."""
+        return self._inner.camera
+
+    @property
+    def camera_source(self) -> str:
+        """Where the calibration comes from."""
+        return self._inner.camera_source
+
+    @property
+    def timestamps_s(self) -> F64:
+        """Times of the images shown (K,) float64 [s]."""
+        return self._timestamps_s
+
+    @property
+    def groundtruth(self) -> Trajectory | None:
+        """True poses of the whole original."""
+        return self._inner.groundtruth
+
+    @property
+    def groundtruth_body(self) -> str:
+        """Whose poses the ground truth gives: "camera" or "marker"."""
+        return str(getattr(self._inner, "groundtruth_body", "camera"))
+
+    @property
+    def numbers(self) -> I64:
+        """Numbers (K,) of the images shown in the original sequence."""
+        return original_numbers(self._inner)[self._kept]
+
+    @property
+    def original_length(self) -> int:
+        """Number of images of the original sequence."""
+        return _original_length(self._inner)
+
+    def __len__(self) -> int:
+        """Number of images shown."""
+        return len(self._kept)
+
+    def load(self, index: int) -> RgbdImage:
+        """Return the image at place `index` here, with its original number.
+
+        Raises:
+            IndexError: There is no such image.
+            FrameError: It cannot be used.
+        """
+        if not 0 <= index < len(self):
+            raise IndexError(f"{self.name}: no image {index} in the selection; there are {len(self)}, from 0")
+        image = self._inner.load(int(self._kept[index]))
+        if image.index not in self._blackout:
+            return image
+        black_truth = None if image.truth is None else nothing(image.height, image.width)
+        return replace(image, rgb=np.zeros_like(image.rgb), depth_m=np.zeros_like(image.depth_m), truth=black_truth)
+
+
+def select(
+    dataset: Dataset, frames: str | None = None, drop: Iterable[str] = (), blackout: Iterable[str] = ()
+) -> Dataset:
+    """Apply the options of a run to a sequence. Each range is `a:b` as Python slices, in original numbers.
+
+    Args:
+        dataset: The sequence.
+        frames: The images to keep; all where not given.
+        drop: Images that do not exist for this run.
+        blackout: Images that arrive black, without depth.
+
+    Raises:
+        ConfigError: A range is malformed, or touches no image that is left at its turn; or nothing is left at all.
+    """
+    drop, blackout = tuple(drop), tuple(blackout)
+    if frames is None and not drop and not blackout:
+        return dataset
+    numbers, length = original_numbers(dataset), _original_length(dataset)
+    kept = np.ones(len(numbers), dtype=np.bool_)
+    if frames is not None:
+        kept = _touched("frames", frames, numbers, kept, length)
+    for text in drop:
+        kept &= ~_touched("drop", text, numbers, kept, length)
+    if not kept.any():
+        raise ConfigError(f"drop {', '.join(drop)}: leaves no image of '{dataset.name}'; drop fewer")
+    black = [_touched("blackout", text, numbers, kept, length) for text in blackout]
+    dark = np.any(black, axis=0) if black else np.zeros(len(numbers), dtype=np.bool_)
+    return Selected(dataset, np.flatnonzero(kept), numbers[dark].tolist())
+
+
+def parse_range(text: str) -> slice:
+    """Read `a:b` or `a:b:step`; either end may be left out or count from the end with a minus.
+
+    Raises:
+        ConfigError: It is no such range, or its step is not positive.
+    """
+    parts = text.split(":")
+    try:
+        numbers = [int(part) if part.strip() else None for part in parts]
+    except ValueError:
+        numbers = []
+    if not 2 <= len(numbers) <= 3:
+        raise ConfigError(f"'{text}' is no range of frames; write it like 200:560, :100 or 300:")
+    chosen = slice(*numbers)
+    if chosen.step is not None and chosen.step <= 0:
+        raise ConfigError(f"'{text}': the step of a range of frames must be positive")
+    return chosen
+
+
+def original_numbers(dataset: Dataset) -> I64:
+    """Return the numbers (N,) that a sequence's images have in its original."""
+    if isinstance(dataset, Selected):
+        return dataset.numbers
+    return np.arange(len(dataset), dtype=np.int64)
+
+
+def _original_length(dataset: Dataset) -> int:
+    return dataset.original_length if isinstance(dataset, Selected) else len(dataset)
+
+
+def _touched(option: str, text: str, numbers: I64, kept: Bool, length: int) -> Bool:
+    """Tell which of the kept images (N,) a range touches; a range that touches none is a slip of the pen."""
+    try:
+        chosen = parse_range(text)
+    except ConfigError as error:
+        raise ConfigError(f"{option}: {error}") from None
+    inside = np.zeros(length, dtype=np.bool_)
+    inside[chosen] = True
+    touched: Bool = inside[numbers] & kept
+    if not touched.any():
+        left = f"{int(numbers[kept][0])} to {int(numbers[kept][-1])}" if kept.any() else "none"
+        raise ConfigError(f"{option} {text}: no such image; images left to choose from: {left}")
+    return touched

@@ -1,0 +1,1 @@
+"""The contracts of the sockets, importable: run your own dataset, segmenter or sieve through them in your tests."""

@@ -1,0 +1,158 @@
+"""What every `Dataset` must keep. A data set that is listed in a test and passes this may be called supported.
+
+In a test of your own::
+
+    from stillroom.testing.dataset_contract import KnownPixel, check_dataset
+
+    def test_my_dataset():
+        check_dataset(MyDataset("..."), KnownPixel(index=0, row=10, column=20, rgb=(200, 30, 30), depth_m=1.5))
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from stillroom.data.image import RgbdImage
+from stillroom.errors import FrameError
+from stillroom.protocols import Dataset
+
+SAMPLED_FRAMES = 9
+PLAUSIBLE_DEPTH_M = (0.05, 60.0)
+"""The median depth of a room; millimetres taken for metres, or raw units, lie far outside."""
+
+
+@dataclass(frozen=True)
+class KnownPixel:
+    """One pixel whose colour and depth are known from elsewhere: only that can tell red from blue.
+
+    Attributes:
+        index: Place of the image in the data set.
+        row, column: The pixel.
+        rgb: Its colour, red first.
+        depth_m: Its depth [m], 0 where unknown; not compared where None.
+        colour_tolerance: How far each channel may be off, for lossy images.
+    """
+
+    index: int
+    row: int
+    column: int
+    rgb: tuple[int, int, int]
+    depth_m: float | None = None
+    colour_tolerance: int = 0
+
+
+def check_dataset(dataset: Dataset, *known_pixels: KnownPixel) -> None:
+    """Make sure that a data set keeps the socket's promises.
+
+    Reads at most `SAMPLED_FRAMES` different frames, each up to three times.
+
+    Raises:
+        AssertionError: It does not; the message says which promise is broken, and where.
+    """
+    _check_description(dataset)
+    _check_borders(dataset)
+    places = np.unique(np.linspace(0, len(dataset) - 1, SAMPLED_FRAMES).astype(int)).tolist()
+    first_pass = {place: _load(dataset, place) for place in places}
+    assert any(image is not None for image in first_pass.values()), "no sampled frame can be loaded"
+    for place, image in first_pass.items():
+        if image is not None:
+            _check_image(dataset, place, image)
+    numbers = [image.index for image in first_pass.values() if image is not None]
+    assert numbers == sorted(set(numbers)), f"RgbdImage.index must increase along the sequence, not {numbers}"
+    _check_repeats(dataset, first_pass)
+    for pixel in known_pixels:
+        _check_pixel(dataset, pixel)
+
+
+def _check_description(dataset: Dataset) -> None:
+    assert dataset.name, "name is empty; the results folder is called by it"
+    assert "/" not in dataset.name, f"name '{dataset.name}' has a slash; the results folder is called by it"
+    assert dataset.camera_source.strip(), "camera_source is empty; it must say where the calibration comes from"
+    assert "\n" not in dataset.camera_source, "camera_source has more than one line"
+    assert len(dataset) > 0, "a data set without images must not open"
+    times_s = dataset.timestamps_s
+    assert isinstance(times_s, np.ndarray), "timestamps_s is no array"
+    assert times_s.dtype == np.float64, f"timestamps_s is {times_s.dtype}, not float64"
+    assert times_s.shape == (len(dataset),), f"timestamps_s has shape {times_s.shape}, length is {len(dataset)}"
+    assert np.all(np.isfinite(times_s)), "a timestamp is not finite"
+    assert np.all(np.diff(times_s) > 0), "timestamps_s must strictly increase"
+    groundtruth = dataset.groundtruth
+    if groundtruth is not None:
+        assert len(groundtruth) > 0, "groundtruth without poses; it must be None then"
+        assert groundtruth.T_world_cam.shape == (len(groundtruth), 4, 4), "groundtruth poses are not (M, 4, 4)"
+        assert np.all(np.diff(groundtruth.timestamps_s) > 0), "groundtruth times must strictly increase"
+        R = groundtruth.T_world_cam[:, :3, :3]
+        assert np.allclose(R @ R.transpose(0, 2, 1), np.eye(3), atol=1e-6), "a groundtruth rotation is none"
+
+
+def _check_borders(dataset: Dataset) -> None:
+    for index in (-1, len(dataset), len(dataset) + 1000):
+        try:
+            dataset.load(index)
+        except IndexError:
+            continue
+        except FrameError as error:
+            raise AssertionError(f"load({index}) says FrameError; an absent image is an IndexError") from error
+        raise AssertionError(f"load({index}) gives an image, of {len(dataset)}; it must raise IndexError")
+
+
+def _load(dataset: Dataset, place: int) -> RgbdImage | None:
+    """Load a frame; None where it is one that cannot be used, which a data set may have."""
+    try:
+        return dataset.load(place)
+    except FrameError:
+        return None
+
+
+def _check_image(dataset: Dataset, place: int, image: RgbdImage) -> None:
+    size = (dataset.camera.height, dataset.camera.width)
+    assert image.timestamp_s == dataset.timestamps_s[place], f"image {place} has another time than timestamps_s"
+    assert image.index >= place, f"image {place} is numbered {image.index}"
+    assert image.rgb.dtype == np.uint8, f"image {place}: rgb is {image.rgb.dtype}, not uint8"
+    assert image.rgb.shape == (*size, 3), f"image {place}: rgb is {image.rgb.shape}, the camera {size}"
+    assert image.depth_m.dtype == np.float32, f"image {place}: depth_m is {image.depth_m.dtype}, not float32"
+    assert image.depth_m.shape == size, f"image {place}: depth_m is {image.depth_m.shape}, the camera {size}"
+    for name, pixels in (("rgb", image.rgb), ("depth_m", image.depth_m)):
+        assert pixels.flags.c_contiguous, f"image {place}: {name} is not contiguous; kernels need it to be"
+    assert np.all(np.isfinite(image.depth_m)), f"image {place}: depth_m has NaN or infinity; unknown is 0"
+    assert np.all(image.depth_m >= 0), f"image {place}: depth_m is negative somewhere; unknown is 0"
+    known_m = image.depth_m[image.depth_m > 0]
+    if len(known_m):
+        low, high = PLAUSIBLE_DEPTH_M
+        median_m = float(np.median(known_m))
+        assert low < median_m < high, f"image {place}: the median depth is {median_m} m; is the depth factor right?"
+    if image.truth is not None:
+        assert (image.truth.height, image.truth.width) == size, f"image {place}: truth is of another size"
+
+
+def _check_repeats(dataset: Dataset, first_pass: dict[int, RgbdImage | None]) -> None:
+    """Load again from the back, twice each: neither the order nor what a caller did to an image may matter."""
+    copies = {place: image and _copied(image) for place, image in first_pass.items()}
+    for place, before in reversed(copies.items()):
+        for _ in range(2):
+            again = _load(dataset, place)
+            assert (again is None) == (before is None), f"image {place} loads at one time and fails at another"
+            if again is None or before is None:
+                continue
+            assert again.index == before.index, f"image {place} changes its number"
+            assert np.array_equal(again.rgb, before.rgb), f"image {place}: rgb differs when it is loaded again"
+            assert np.array_equal(again.depth_m, before.depth_m), f"image {place}: depth differs when loaded again"
+            if again.rgb.flags.writeable:
+                again.rgb[:] ^= 255
+            if again.depth_m.flags.writeable:
+                again.depth_m[:] += 1
+
+
+def _copied(image: RgbdImage) -> RgbdImage:
+    return replace(image, rgb=image.rgb.copy(), depth_m=image.depth_m.copy())
+
+
+def _check_pixel(dataset: Dataset, known: KnownPixel) -> None:
+    image = dataset.load(known.index)
+    rgb = image.rgb[known.row, known.column].astype(int)
+    where = f"image {known.index}, row {known.row}, column {known.column}"
+    off = np.abs(rgb - np.array(known.rgb)).max()
+    assert off <= known.colour_tolerance, f"{where}: rgb is {tuple(rgb.tolist())}, not {known.rgb}; is it BGR?"
+    if known.depth_m is not None:
+        depth_m = float(image.depth_m[known.row, known.column])
+        assert np.isclose(depth_m, known.depth_m, rtol=1e-5), f"{where}: depth is {depth_m} m, not {known.depth_m}"

@@ -48,6 +48,7 @@ def test_calls_in_a_frame_add_up_and_rare_stages_count_with_their_share() -> Non
     assert (times["rare"].n_frames, times["often"].n_frames) == (1, 4)
     assert times["rare"].cpu_median_ms >= 8
     assert times["rare"].cpu_mean_ms == pytest.approx(times["rare"].cpu_median_ms / 4)
+    assert times["rare"].wall_mean_ms == pytest.approx(times["rare"].wall_median_ms / 4)
     assert times[FRAME].cpu_mean_ms >= times["often"].cpu_mean_ms + times["rare"].cpu_mean_ms
     assert times[FRAME].cpu_p95_ms > times[FRAME].cpu_median_ms + 4
 

@@ -96,21 +96,18 @@ def build_sequence(
 
     Args:
         folder: The sequence's folder; its `camera.toml` and `groundtruth.txt` are used where they exist.
-        rgb: Colour images.
-        depth: Depth images.
+        rgb: Colour images, at least one.
+        depth: Depth images, at least one.
         camera: The calibration that the user asks for, a name or a file.
         name: Name of the sequence; the folder's where not given.
         pairs: Indices (K,) into `rgb` and (K,) into `depth` of images that belong together; by time, one to one,
             where not given.
 
     Raises:
-        DatasetError: A list is empty, nothing pairs, or none of the first frames can be used.
+        DatasetError: Nothing pairs, or none of the first frames can be used.
         CalibrationError: No calibration is known, or its size is not that of the images.
         TrajectoryError: The ground truth cannot be read.
     """
-    for listing in (rgb, depth):
-        if not listing.files:
-            raise DatasetError(f"{listing.source}: lists no images; is the sequence complete?")
     name = name or folder.resolve().name
     calibration, source = choose_camera(folder, name, camera)
     of_rgb, of_depth = pairs or associate(rgb.timestamps_s, depth.timestamps_s, TUM_MAX_GAP_S)

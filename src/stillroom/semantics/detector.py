@@ -22,3 +22,7 @@ class EachFrameAlone:
     def __call__(self, image: RgbdImage) -> Semantics:
         """Return the boxes of this image."""
         return Semantics(image.height, image.width, self.detector.detect(image))
+
+    def with_detector(self, detector: Detector) -> "EachFrameAlone":
+        """Return the same with another detector."""
+        return EachFrameAlone(detector)

@@ -2,7 +2,7 @@
 
 import functools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ from stillroom.errors import ConfigError, WeightsError
 from stillroom.geometry.arrays import F32, F64, I64, U8
 from stillroom.protocols import Segmenter
 from stillroom.semantics.boxes import suppress
+from stillroom.semantics.carried_boxes import CarriedBoxes, CarryConfig
 from stillroom.semantics.darknet.cfg import read_bytes, read_cfg
 from stillroom.semantics.darknet.network import Network, YoloHead
 from stillroom.semantics.darknet.onnx_graph import onnx_model
@@ -36,6 +37,7 @@ class YoloFastestConfig:
         nms_iou: Highest overlap that two boxes of one class may have; of more, the best is kept.
         movable: Names of the classes that may move; the others are not reported.
         folder: Where the cfg, weights and names lie; "" is the models' usual places.
+        carry: How boxes are carried on over the frames in which they are missed.
     """
 
     variant: str = "1.1"
@@ -43,6 +45,7 @@ class YoloFastestConfig:
     nms_iou: float = 0.45
     movable: tuple[str, ...] = ("person",)
     folder: str = ""
+    carry: CarryConfig = field(default_factory=CarryConfig)
 
     def build(self) -> Segmenter:
         """Return the detector.
@@ -51,7 +54,10 @@ class YoloFastestConfig:
             ConfigError: A value is impossible, or a class is not among the network's.
             WeightsError: The network's files are absent, damaged or not supported.
         """
-        return EachFrameAlone(self.build_detector(self.confidence))
+        if not self.carry.enabled:
+            return EachFrameAlone(self.build_detector(self.confidence))
+        detector = self.build_detector(self.carry.lowest(self.confidence))
+        return CarriedBoxes(detector, self.confidence, self.carry)
 
     def build_detector(self, confidence: float) -> "YoloFastest":
         """Return the bare detector, which reports boxes from a confidence on."""
@@ -77,7 +83,7 @@ def find_folder(named: str = "") -> Path:
     places = named or ", ".join(str(place / FOLDER) for place in usual)
     raise WeightsError(
         f"YOLO-Fastest's weights are not in {places}; fetch them with 'stillroom download models', "
-        "or name the folder that holds them in STILLROOM_MODELS"
+        f"or set STILLROOM_MODELS to the folder that holds {FOLDER}"
     )
 
 

@@ -1,0 +1,161 @@
+"""The user's own masks, one image file a frame."""
+
+import logging
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from stillroom.data.image import RgbdImage
+from stillroom.data.semantics import Box, Semantics, nothing
+from stillroom.errors import ConfigError, DatasetError
+from stillroom.geometry.arrays import U8
+from stillroom.protocols import Segmenter
+
+SUFFIXES = {".png", ".bmp", ".tif", ".tiff", ".pgm", ".webp"}  # without loss; JPEG blurs labels
+TIME_TOLERANCE_S = 0.001
+LABEL = "mask"
+
+logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class MaskFilesConfig:
+    """Where masks lie and how they are read.
+
+    A file belongs to a frame by its name: `1548339819.87426.png` (a number with a point) by the colour image's
+    timestamp in seconds, `000012.png` or `mask_12.png` (no point) by the frame's index, counted from 0.
+
+    Attributes:
+        folder: The folder with the masks.
+        movable_values: Pixel values that mean "may move"; empty is any but 0.
+        dilate_px: By how much masks are grown [px].
+        missing: What a frame without a readable mask means: "nothing" in it may move (with one warning), or "error".
+        boxes: Whether each connected region becomes a box, too.
+        min_box_px: Smallest region that becomes a box [px²].
+    """
+
+    folder: Path | None = None
+    movable_values: tuple[int, ...] = ()
+    dilate_px: int = 0
+    missing: str = "nothing"
+    boxes: bool = True
+    min_box_px: int = 100
+
+    def build(self) -> Segmenter:
+        """Return the segmenter.
+
+        Raises:
+            ConfigError: No folder is named, or a value is impossible.
+            DatasetError: The folder does not exist, or has no masks; two masks claim one frame.
+        """
+        if self.folder is None:
+            raise ConfigError("mask_files.folder is not set; name the folder that holds the masks")
+        if self.missing not in {"nothing", "error"}:
+            raise ConfigError(f"mask_files.missing is '{self.missing}'; it must be 'nothing' or 'error'")
+        if self.dilate_px < 0:
+            raise ConfigError(f"mask_files.dilate_px is {self.dilate_px}; it must not be negative")
+        return MaskFiles(self.folder, self)
+
+
+class MaskFiles:
+    """Reads the mask of each frame from a folder."""
+
+    def __init__(self, folder: Path, config: MaskFilesConfig) -> None:
+        self._folder = folder
+        self._config = config
+        self._by_index, by_time = _list_masks(folder)
+        self._times_s = np.array(sorted(by_time))
+        self._by_time = [by_time[time] for time in self._times_s]
+        self._warned = False
+
+    def __call__(self, image: RgbdImage) -> Semantics:
+        """Return the mask of the image.
+
+        Raises:
+            DatasetError: The mask has another size than the image, or is not what the config says; it is absent or
+                unreadable, and `missing` is "error".
+        """
+        path = self._find(image)
+        if path is None:
+            return self._without(image, f"{self._folder}: no mask for frame {image.index} ({image.timestamp_s:.6f} s)")
+        pixels: Any = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        if pixels is None:
+            return self._without(image, f"{path}: cannot be read as an image")
+        movable = self._movable(np.asarray(pixels), path)
+        if movable.shape != (image.height, image.width):
+            raise DatasetError(
+                f"{path}: the mask is {movable.shape[1]}×{movable.shape[0]}, "
+                f"the image {image.width}×{image.height}; they must be of one size"
+            )
+        mask = _dilate(movable, self._config.dilate_px)
+        boxes = _boxes(mask, self._config.min_box_px) if self._config.boxes else ()
+        return Semantics(image.height, image.width, boxes, mask != 0)
+
+    def _find(self, image: RgbdImage) -> Path | None:
+        if len(self._times_s):
+            nearest = int(np.argmin(np.abs(self._times_s - image.timestamp_s)))
+            if abs(self._times_s[nearest] - image.timestamp_s) <= TIME_TOLERANCE_S:
+                return self._by_time[nearest]
+        return self._by_index.get(image.index)
+
+    def _without(self, image: RgbdImage, problem: str) -> Semantics:
+        if self._config.missing == "error":
+            raise DatasetError(f"{problem}; add it, or set missing to 'nothing'")
+        if not self._warned:
+            logger.warning("%s: taken as 'nothing may move', here and wherever a mask is missing", problem)
+            self._warned = True
+        return nothing(image.height, image.width)
+
+    def _movable(self, pixels: U8, path: Path) -> U8:
+        """Return 1 where the mask (H, W) or (H, W, channels) says that something may move."""
+        colors = pixels[..., :3] if pixels.ndim == 3 else pixels[..., None]  # a fourth channel is opacity
+        if not self._config.movable_values:
+            return np.asarray(np.any(colors != 0, axis=2), dtype=np.uint8)
+        if np.any(colors != colors[..., :1]):
+            raise DatasetError(
+                f"{path}: a colour image, where movable_values needs labels; save the labels as one channel"
+            )
+        return np.asarray(np.isin(colors[..., 0], self._config.movable_values), dtype=np.uint8)
+
+
+def _list_masks(folder: Path) -> tuple[dict[int, Path], dict[float, Path]]:
+    """Return the masks of a folder by index, and by time [s]."""
+    if not folder.is_dir():
+        raise DatasetError(f"{folder}: no such folder; mask_files.folder names the folder that holds the masks")
+    by_index: dict[int, Path] = {}
+    by_time: dict[float, Path] = {}
+    for path in sorted(folder.iterdir()):
+        number = re.search(r"(\d+\.\d+|\d+)$", path.stem)
+        if path.suffix.lower() not in SUFFIXES or number is None:
+            continue
+        text = number.group()
+        rival = by_time.setdefault(float(text), path) if "." in text else by_index.setdefault(int(text), path)
+        if rival != path:
+            raise DatasetError(f"{path}: claims the same frame as {rival.name}; remove one of them")
+    if not by_index and not by_time:
+        raise DatasetError(
+            f"{folder}: no masks in it; expected <timestamp>.png or <index>.png ({', '.join(sorted(SUFFIXES))})"
+        )
+    return by_index, by_time
+
+
+def _dilate(movable: U8, radius_px: int) -> U8:
+    if radius_px == 0:
+        return movable
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius_px + 1, 2 * radius_px + 1))
+    return np.asarray(cv2.dilate(movable, disc), dtype=np.uint8)
+
+
+def _boxes(mask: U8, smallest_px: int) -> tuple[Box, ...]:
+    """Return the box around each connected region, the largest first."""
+    _, _, statistics, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
+    regions = sorted((row.tolist() for row in statistics[1:]), key=lambda row: -row[4])
+    return tuple(
+        Box(x, y, x + width - 1, y + height - 1, LABEL, 1.0)
+        for x, y, width, height, area in regions
+        if area >= smallest_px
+    )

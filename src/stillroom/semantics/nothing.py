@@ -1,0 +1,24 @@
+"""The segmenter of a still world: nothing may move (ORB-SLAM2)."""
+
+from dataclasses import dataclass
+
+from stillroom.data.image import RgbdImage
+from stillroom.data.semantics import Semantics, nothing
+from stillroom.protocols import Segmenter
+
+
+@dataclass(frozen=True)
+class NothingConfig:
+    """There is nothing to choose."""
+
+    def build(self) -> Segmenter:
+        """Return the segmenter."""
+        return Nothing()
+
+
+class Nothing:
+    """Says of every image that nothing in it may move."""
+
+    def __call__(self, image: RgbdImage) -> Semantics:
+        """Return empty semantics of the image's size."""
+        return nothing(image.height, image.width)

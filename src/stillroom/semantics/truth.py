@@ -1,0 +1,63 @@
+"""What a renderer knows of its own images: a perfect detector, for synthetic sequences."""
+
+from dataclasses import dataclass, field
+
+from stillroom.data.image import RgbdImage
+from stillroom.data.semantics import Box, Semantics
+from stillroom.errors import ConfigError
+from stillroom.protocols import Segmenter
+from stillroom.semantics.carried_boxes import CarriedBoxes, CarryConfig
+from stillroom.semantics.detector import EachFrameAlone
+
+
+@dataclass(frozen=True)
+class TruthConfig:
+    """Which part of the truth is told.
+
+    Attributes:
+        masks: Tell masks and boxes; else boxes only, as a detector would.
+        carry: How boxes are carried on where they are withheld; off, because the renderer misses none.
+    """
+
+    masks: bool = False
+    carry: CarryConfig = field(default_factory=lambda: CarryConfig(enabled=False))
+
+    def build(self) -> Segmenter:
+        """Return the segmenter."""
+        if self.masks:
+            return TrueMasks()
+        detector = TrueBoxes()
+        return CarriedBoxes(detector, 0.0, self.carry) if self.carry.enabled else EachFrameAlone(detector)
+
+
+class TrueMasks:
+    """Repeats everything that the renderer knows."""
+
+    def __call__(self, image: RgbdImage) -> Semantics:
+        """Return the truth of the image.
+
+        Raises:
+            ConfigError: The image was not rendered.
+        """
+        return _truth(image)
+
+
+class TrueBoxes:
+    """A detector that repeats the renderer's boxes."""
+
+    def detect(self, image: RgbdImage) -> tuple[Box, ...]:
+        """Return the boxes of the image.
+
+        Raises:
+            ConfigError: The image was not rendered.
+        """
+        return _truth(image).boxes
+
+
+def _truth(image: RgbdImage) -> Semantics:
+    if image.truth is None:
+        raise ConfigError(
+            f"image {image.index} carries no truth: the truth segmenter works on rendered sequences only; "
+            "choose a detector or a folder of masks"
+        )
+    return image.truth

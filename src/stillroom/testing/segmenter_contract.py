@@ -1,0 +1,99 @@
+"""What every `Segmenter` must keep.
+
+In a test of your own::
+
+    from stillroom.testing.segmenter_contract import check_segmenter
+
+    def test_my_segmenter():
+        check_segmenter(MySegmenter, images)  # anything that builds a fresh one, and a few consecutive images
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from stillroom.data.image import RgbdImage
+from stillroom.data.semantics import Box, Semantics
+from stillroom.protocols import Segmenter
+
+
+def check_segmenter(build: Callable[[], Segmenter], images: Sequence[RgbdImage]) -> list[Semantics]:
+    """Make sure that a segmenter keeps the socket's promises.
+
+    Args:
+        build: Returns a fresh segmenter.
+        images: Consecutive images of one size, in order; a few in which it finds something tell the most.
+
+    Returns:
+        Its answers to the images, for what else a test wants to know of them.
+
+    Raises:
+        AssertionError: It does not keep them; the message says which promise is broken, and where.
+    """
+    assert images, "no images to try it on"
+    segmenter = build()
+    answers: list[Semantics] = []
+    copies: list[Semantics] = []
+    for image in images:
+        answers.append(_ask(segmenter, image))
+        copies.append(_copied(answers[-1]))
+    for image, answer, copy in zip(images, answers, copies, strict=True):
+        _check_same(answer, copy, f"image {image.index}: the answer changed after it was given")
+    fresh = build()
+    for image, copy in zip(images, copies, strict=True):
+        _check_same(_ask(fresh, image), copy, f"image {image.index}: a fresh segmenter answers otherwise")
+    # A cap on the lens in the middle of a run, then light again.
+    last = images[-1]
+    for step, dark in enumerate((_black(last), last), start=1):
+        _ask(segmenter, replace(dark, index=last.index + step, timestamp_s=last.timestamp_s + step / 30.0))
+    _ask(build(), _black(images[0]))
+    return answers
+
+
+def _ask(segmenter: Segmenter, image: RgbdImage) -> Semantics:
+    rgb, depth_m = image.rgb.copy(), image.depth_m.copy()
+    answer = segmenter(image)
+    where = f"image {image.index}"
+    assert np.array_equal(image.rgb, rgb), f"{where}: the segmenter changed the colours it was given"
+    assert np.array_equal(image.depth_m, depth_m), f"{where}: the segmenter changed the depth it was given"
+    assert isinstance(answer, Semantics), f"{where}: the answer is a {type(answer).__name__}, not Semantics"
+    size = (image.height, image.width)
+    assert (answer.height, answer.width) == size, f"{where}: semantics of {(answer.height, answer.width)}, not {size}"
+    if answer.mask is not None:
+        assert answer.mask.dtype == np.bool_, f"{where}: the mask is {answer.mask.dtype}, not bool"
+        assert answer.mask.shape == size, f"{where}: the mask is {answer.mask.shape}, the image {size}"
+    for box in answer.boxes:
+        _check_box(box, image, where)
+    return answer
+
+
+def _check_box(box: Box, image: RgbdImage, where: str) -> None:
+    x0, y0, x1, y1 = box.xyxy_px
+    assert np.all(np.isfinite(box.xyxy_px)), f"{where}: an edge of {box} is not finite"
+    assert x0 <= x1, f"{where}: {box} is turned inside out"
+    assert y0 <= y1, f"{where}: {box} is turned inside out"
+    in_image = x0 >= 0 and y0 >= 0 and x1 <= image.width - 1 and y1 <= image.height - 1
+    assert in_image, f"{where}: {box} reaches beyond the image of {image.width}×{image.height}"
+    assert isinstance(box.label, str), f"{where}: the label of {box} is no text"
+    assert box.label, f"{where}: {box} has no label"
+    assert 0.0 <= box.confidence <= 1.0, f"{where}: the confidence of {box} is not within 0 and 1"
+    assert box.carried >= 0, f"{where}: {box} was last seen in the future"
+
+
+def _check_same(answer: Semantics, expected: Semantics, problem: str) -> None:
+    assert answer.boxes == expected.boxes, f"{problem}: boxes {answer.boxes} and {expected.boxes}"
+    assert (answer.mask is None) == (expected.mask is None), f"{problem}: now a mask, now none"
+    if answer.mask is not None and expected.mask is not None:
+        assert np.array_equal(answer.mask, expected.mask), f"{problem}: another mask"
+
+
+def _copied(answer: Semantics) -> Semantics:
+    mask = None if answer.mask is None else answer.mask.copy()
+    return Semantics(answer.height, answer.width, tuple(answer.boxes), mask)
+
+
+def _black(image: RgbdImage) -> RgbdImage:
+    """Return an image of the same size and place that shows nothing."""
+    truth = None if image.truth is None else Semantics(image.height, image.width)
+    return replace(image, rgb=np.zeros_like(image.rgb), depth_m=np.zeros_like(image.depth_m), truth=truth)

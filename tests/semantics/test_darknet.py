@@ -7,10 +7,12 @@ import numpy as np
 import onnxruntime
 import pytest
 
+from stillroom.data.image import RgbdImage
 from stillroom.errors import WeightsError
 from stillroom.semantics.darknet.cfg import read_cfg
 from stillroom.semantics.darknet.onnx_graph import onnx_model
 from stillroom.semantics.darknet.weights import read_weights
+from stillroom.semantics.yolo_fastest import YoloFastestConfig
 
 # Each kind of layer, each activation, groups, negative and absolute routes, two heads.
 CFG = """
@@ -68,8 +70,8 @@ mask=1,2
 anchors=1,2, 3,4, 5,6
 classes=2
 
-[route]
-layers=-2
+[route]           # 9
+layers=-3
 
 [upsample]        # 10
 stride=2
@@ -92,7 +94,10 @@ classes=2
 scale_x_y=1.05
 """
 # (filters, inputs per group, size, batch normalisation) of the convolutions above, counted by hand
-CONVOLUTIONS = [(8, 3, 3, True), (8, 1, 5, True), (8, 8, 1, False), (14, 4, 1, False), (7, 30, 3, True)]
+CONVOLUTIONS = [(8, 3, 3, True), (8, 1, 5, True), (8, 8, 1, False), (14, 4, 1, False), (7, 24, 3, True)]
+
+
+BOTH = (0, 1)
 
 
 def activate(x, name):
@@ -169,7 +174,7 @@ def plain_network(image, convolutions):
     l5 = plain_maxpool(l4, 3, 1)
     l6 = plain_maxpool(l5, 2, 2)
     l7 = layer(3, l6, 1, 0, 2, "logistic")
-    l10 = l7.repeat(2, axis=1).repeat(2, axis=2)
+    l10 = l6.repeat(2, axis=1).repeat(2, axis=2)
     l11 = np.concatenate([l10, l5, l0])
     l12 = layer(4, l11, 1, 0, 1, "relu")
     return [l7, l12]
@@ -181,11 +186,14 @@ def own_cache(tmp_path, monkeypatch):
     return tmp_path / "cache"
 
 
-@pytest.mark.parametrize("version", [(0, 1, 0), (0, 2, 5)])
-def test_every_layer_agrees_with_plain_numpy(tmp_path, version):
+@pytest.mark.parametrize(
+    ("version", "classes"),
+    [((0, 1, 0), [0, 1]), ((0, 2, 5), [0, 1]), ((0, 2, 5), [1]), ((0, 2, 5), [1, 0]), ((0, 2, 5), [])],
+)
+def test_every_layer_agrees_with_plain_numpy(tmp_path, version, classes):
     rng = np.random.default_rng(3)
     convolutions = list(random_convolutions(rng))
-    model = onnx_model(*write(tmp_path, convolutions, version))
+    model = onnx_model(*write(tmp_path, convolutions, version), classes)
     session = onnxruntime.InferenceSession(model, providers=["CPUExecutionProvider"])
     for _ in range(3):
         image = rng.uniform(0, 255, (1, 3, 16, 12)).astype(np.float32)
@@ -193,8 +201,10 @@ def test_every_layer_agrees_with_plain_numpy(tmp_path, version):
         expected = plain_network(image[0].astype(float), convolutions)
         assert [out.name for out in session.get_outputs()] == ["head_0", "head_1"]
         for answer, truth in zip(answers, expected, strict=True):
-            assert answer.shape[1:] == truth.shape
-            np.testing.assert_allclose(answer[0], truth, rtol=1e-4, atol=1e-5)
+            by_anchor = truth.reshape(-1, 7, *truth.shape[1:])
+            chosen = by_anchor[:, [0, 1, 2, 3, 4, *(5 + k for k in classes)]].reshape(-1, *truth.shape[1:])
+            assert answer.shape[1:] == chosen.shape
+            np.testing.assert_allclose(answer[0], chosen, rtol=1e-4, atol=1e-5)
 
 
 def test_the_cfg_is_read_as_it_says(tmp_path):
@@ -202,28 +212,29 @@ def test_the_cfg_is_read_as_it_says(tmp_path):
     network = read_cfg(tmp_path / "net.cfg")
     assert network.input_shape == (3, 16, 12)
     assert network.shapes[7] == (14, 4, 3)
-    assert network.shapes[11] == (30, 8, 6)
+    assert network.shapes[11] == (24, 8, 6)
     assert [head.anchors_px for head in network.heads] == [((3, 4), (5, 6)), ((1, 2),)]
     assert [head.scale_xy for head in network.heads] == [1.0, 1.05]
 
 
 def test_a_conversion_is_kept_and_a_damaged_one_made_again(tmp_path, own_cache):
     paths = write(tmp_path, random_convolutions(np.random.default_rng(3)))
-    model = onnx_model(*paths)
+    model = onnx_model(*paths, BOTH)
     (kept,) = (own_cache / "stillroom").rglob("*.sealed")
     stamp = kept.stat().st_mtime_ns
-    assert onnx_model(*paths) == model
+    assert onnx_model(*paths, BOTH) == model
     assert kept.stat().st_mtime_ns == stamp, "converted again although nothing changed"
     kept.write_bytes(kept.read_bytes()[:-5])
-    assert onnx_model(*paths) == model
+    assert onnx_model(*paths, BOTH) == model
     other = write(tmp_path, random_convolutions(np.random.default_rng(4)))
-    assert onnx_model(*other) != model, "other weights must not meet the old conversion"
+    assert onnx_model(*other, BOTH) != model, "other weights must not meet the old conversion"
+    assert onnx_model(*paths, (1, 0)) != onnx_model(*paths, BOTH), "nor other classes"
 
 
 def test_a_cache_that_cannot_be_written_is_no_error(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("in the way")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
-    assert onnx_model(*write(tmp_path, random_convolutions(np.random.default_rng(3))))
+    assert onnx_model(*write(tmp_path, random_convolutions(np.random.default_rng(3))), BOTH)
 
 
 @pytest.mark.parametrize(
@@ -296,7 +307,51 @@ def test_a_file_that_is_no_cfg(tmp_path, content, said):
 
 def test_missing_files(tmp_path):
     with pytest.raises(WeightsError, match=r"net\.cfg: No such file.*stillroom download models"):
-        onnx_model(tmp_path / "net.cfg", tmp_path / "net.weights")
+        onnx_model(tmp_path / "net.cfg", tmp_path / "net.weights", BOTH)
     (tmp_path / "net.cfg").write_text(CFG)
     with pytest.raises(WeightsError, match=r"net\.weights: No such file.*stillroom download models"):
-        onnx_model(tmp_path / "net.cfg", tmp_path / "net.weights")
+        onnx_model(tmp_path / "net.cfg", tmp_path / "net.weights", BOTH)
+
+
+def plain_boxes(heads, movable, width, height, least):
+    """Every cell, anchor and class in turn, as darknet's yolo layer reads them."""
+    anchors = [[(3, 4), (5, 6)], [(1, 2)]]
+    for raw, sizes, scale in zip(heads, anchors, [1.0, 1.05], strict=True):
+        for a, (anchor_w, anchor_h) in enumerate(sizes):
+            for r in range(raw.shape[1]):
+                for c in range(raw.shape[2]):
+                    v = raw[7 * a : 7 * a + 7, r, c]
+                    squashed = 1 / (1 + np.exp(-v))
+                    x = (squashed[0] * scale - (scale - 1) / 2 + c) / raw.shape[2] * width
+                    y = (squashed[1] * scale - (scale - 1) / 2 + r) / raw.shape[1] * height
+                    w, h = np.exp(v[2]) * anchor_w, np.exp(v[3]) * anchor_h
+                    for label, k in movable.items():
+                        if squashed[4] * squashed[5 + k] >= least:
+                            edges = np.array([x - w / 2, y - h / 2, x + w / 2, y + h / 2]) - 0.5
+                            size = [width - 1, height - 1] * 2
+                            yield (label, squashed[4] * squashed[5 + k], *np.clip(edges, 0, size))
+
+
+@pytest.mark.parametrize("movable", [{"cat": 1}, {"cat": 1, "dog": 0}, {}])
+def test_a_whole_detector_agrees_with_plain_loops(tmp_path, movable):
+    """The tiny network in the place of YOLO-Fastest: no weights of anyone's are needed for this."""
+    rng = np.random.default_rng(3)
+    convolutions = list(random_convolutions(rng))
+    cfg, weights = write(tmp_path, convolutions)
+    cfg.rename(tmp_path / "yolo-fastest-1.1.cfg")
+    weights.rename(tmp_path / "yolo-fastest-1.1.weights")
+    (tmp_path / "coco.names").write_text("dog\ncat\n")
+    config = YoloFastestConfig(movable=tuple(movable), nms_iou=1.0, folder=str(tmp_path))
+    detector = config.build_detector(0.3)
+    for _ in range(3):
+        rgb = rng.integers(0, 256, (16, 12, 3)).astype(np.uint8)
+        found = detector.detect(RgbdImage(0, 0.0, rgb, np.zeros((16, 12), np.float32)))
+        heads = plain_network(rgb.transpose(2, 0, 1).astype(float), convolutions)
+        expected = sorted(plain_boxes(heads, movable, 12, 16, 0.3), key=lambda row: -row[1])
+        assert len(found) == len(expected)
+        assert bool(expected) == bool(movable)
+        got = sorted(((box.label, box.confidence, *box.xyxy_px) for box in found), key=lambda row: -row[1])
+        assert [row[0] for row in got] == [row[0] for row in expected]
+        np.testing.assert_allclose(
+            np.array([row[1:] for row in got], float), np.array([row[1:] for row in expected], float), atol=1e-4
+        )

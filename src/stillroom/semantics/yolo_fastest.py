@@ -18,13 +18,14 @@ from stillroom.protocols import Segmenter
 from stillroom.semantics.boxes import suppress
 from stillroom.semantics.carried_boxes import CarriedBoxes, CarryConfig
 from stillroom.semantics.darknet.cfg import read_bytes, read_cfg
-from stillroom.semantics.darknet.network import Network, YoloHead
+from stillroom.semantics.darknet.network import Network
 from stillroom.semantics.darknet.onnx_graph import onnx_model
 from stillroom.semantics.detector import EachFrameAlone
 
 VARIANTS = ("1.1", "1.1-xl")
 FOLDER = "yolo_fastest"
 NAMES_FILE = "coco.names"
+LARGEST_EXPONENT = 20.0  # of a box whose numbers make no sense
 
 
 @dataclass(frozen=True)
@@ -94,53 +95,67 @@ class YoloFastest:
         """Load the network from `yolo-fastest-<variant>.cfg`, `.weights` and `coco.names` of a folder."""
         cfg, weights = (folder / f"yolo-fastest-{variant}{suffix}" for suffix in (".cfg", ".weights"))
         self._network = read_cfg(cfg)
-        self._labels = _read_names(folder / NAMES_FILE, self._network)
-        self._classes = _class_indices(movable, self._labels, folder / NAMES_FILE)
+        names = _read_names(folder / NAMES_FILE, self._network)
+        self._labels = tuple(movable)
         self._confidence = confidence
         self._nms_iou = nms_iou
-        self._session = _session(onnx_model(cfg, weights))
-        self._anchors = [np.array(head.anchors_px, dtype=np.float64) for head in self._network.heads]
+        self._session = _session(onnx_model(cfg, weights, _class_indices(movable, names, folder / NAMES_FILE)))
+        self._cells = _cells_of(self._network)
+        self._input = np.empty((1, *self._network.input_shape), dtype=np.float32)
 
     def detect(self, image: RgbdImage) -> tuple[Box, ...]:
         """Return the boxes of movable classes, the most confident first."""
-        outputs = self._session.run(None, {"image": self._blob(image.rgb)})
-        found = [
-            self._decode(output[0], head, anchors)
-            for output, head, anchors in zip(outputs, self._network.heads, self._anchors, strict=True)
-        ]
-        unit = np.concatenate([boxes for boxes, _, _ in found])
-        scores = np.concatenate([scores for _, scores, _ in found])
-        classes = np.concatenate([classes for _, _, classes in found])
-        kept = suppress(unit, scores, classes, self._nms_iou)
+        heads = self._session.run(None, {"image": self._blob(image.rgb)})
+        unit, scores, labels = self._decode(heads)
+        kept = suppress(unit, scores, labels, self._nms_iou)
         edges = _to_pixels(unit[kept], image.width, image.height)
         return tuple(
-            Box(x0, y0, x1, y1, self._labels[classes[k]], float(scores[k]))
+            Box(x0, y0, x1, y1, self._labels[labels[k]], float(scores[k]))
             for (x0, y0, x1, y1), k in zip(edges.tolist(), kept, strict=True)
         )
 
     def _blob(self, rgb: U8) -> F32:
-        """Stretch the image to the network's size: (1, 3, H, W) in [0, 255]."""
+        """Stretch the image to the network's size: (1, 3, H, W) in [0, 255]; good until the next call."""
         _, height, width = self._network.input_shape
         small = cv2.resize(rgb, (width, height), interpolation=cv2.INTER_LINEAR)
-        return np.ascontiguousarray(small.transpose(2, 0, 1)[None], dtype=np.float32)
+        np.copyto(self._input[0], small.transpose(2, 0, 1))
+        return self._input
 
-    def _decode(self, raw: F32, head: YoloHead, anchors_px: F64) -> tuple[F64, F64, I64]:
-        """Read one head's answer (A × (5 + classes), h, w): boxes (N, 4) in [0, 1], confidences and classes (N,)."""
-        n_anchors, (_, rows, columns) = len(anchors_px), raw.shape
-        cells = raw.reshape(n_anchors, 5 + head.classes, rows, columns)
-        # Objectness bounds confidence from above, and few cells pass: the rest of the answer is never looked at.
+    def _decode(self, heads: list[F32]) -> tuple[F64, F64, I64]:
+        """Read the heads' answers: boxes (N, 4) in [0, 1], confidences (N,), indices of movable classes (N,)."""
+        width = 5 + len(self._labels)
+        rows = [
+            raw.reshape(-1, width, raw.shape[2] * raw.shape[3]).transpose(0, 2, 1).reshape(-1, width) for raw in heads
+        ]
+        raw_rows = np.concatenate(rows)
+        # Objectness bounds confidence from above, and few cells pass.
         limit = np.log(self._confidence / max(1.0 - self._confidence, 1e-12))
-        anchor, row, column = np.nonzero(cells[:, 4] >= limit)
-        values = cells[anchor, :, row, column].astype(np.float64)
-        confidence = _sigmoid(values[:, 4:5]) * _sigmoid(values[:, 5 + self._classes])
-        which, movable = np.nonzero(confidence >= self._confidence)
-        _, height, width = self._network.input_shape
-        shift = 0.5 * (head.scale_xy - 1.0)
-        center = _sigmoid(values[:, :2]) * head.scale_xy - shift + np.stack([column, row], axis=1)
-        center = center / (columns, rows)
-        half = 0.5 * np.exp(np.minimum(values[:, 2:4], 20.0)) * anchors_px[anchor] / (width, height)
-        boxes = np.concatenate([center - half, center + half], axis=1)
-        return boxes[which], confidence[which, movable], self._classes[movable]
+        likely = np.flatnonzero(raw_rows[:, 4] >= limit)
+        values = raw_rows[likely].astype(np.float64)
+        confidence = _sigmoid(values[:, 4:5]) * _sigmoid(values[:, 5:])
+        which, label = np.nonzero(confidence >= self._confidence)
+        values, cells = values[which], self._cells[likely[which]]
+        center = cells[:, 0] + _sigmoid(values[:, :2]) * cells[:, 1]
+        half = 0.5 * np.exp(np.minimum(values[:, 2:4], LARGEST_EXPONENT)) * cells[:, 2]
+        return np.concatenate([center - half, center + half], axis=1), confidence[which, label], label
+
+
+def _cells_of(network: Network) -> F64:
+    """Return of each box that a network may tell its cell's corner and span and its anchor's size, (N, 3, 2) in [0, 1].
+
+    Heads, anchors, rows, columns: the order in which `_decode` reads them.
+    """
+    tables = []
+    _, height_px, width_px = network.input_shape
+    for head, (_, rows, columns) in zip(network.heads, network.head_shapes, strict=True):
+        table = np.zeros((len(head.anchors_px), rows, columns, 3, 2))
+        row, column = np.indices((rows, columns))
+        table[..., 0, :] = np.stack([column, row], axis=2) - 0.5 * (head.scale_xy - 1.0)
+        table[..., 1, :] = head.scale_xy
+        table[..., :2, :] /= (columns, rows)
+        table[..., 2, :] = np.array(head.anchors_px)[:, None, None] / (width_px, height_px)
+        tables.append(table.reshape(-1, 3, 2))
+    return np.concatenate(tables)
 
 
 def _sigmoid(x: F64) -> F64:
@@ -161,11 +176,11 @@ def _read_names(path: Path, network: Network) -> tuple[str, ...]:
     return names
 
 
-def _class_indices(movable: Sequence[str], labels: Sequence[str], path: Path) -> I64:
+def _class_indices(movable: Sequence[str], labels: Sequence[str], path: Path) -> list[int]:
     for name in movable:
         if name not in labels:
             raise ConfigError(f"movable class '{name}' is not one of the network's; they are listed in {path}")
-    return np.array([labels.index(name) for name in movable], dtype=np.int64)
+    return [labels.index(name) for name in movable]
 
 
 @functools.lru_cache(maxsize=2)

@@ -77,6 +77,7 @@ def read_cfg(path: Path) -> Network:
     network = Network(input_shape, tuple(layers), tuple(shapes))
     if not network.heads or not isinstance(layers[0], Convolution):
         raise WeightsError(f"{path}: a detector begins with a [convolutional] layer and has a [yolo] layer")
+    _check_heads(network, path)
     return network
 
 
@@ -103,6 +104,16 @@ def fingerprint(*paths: Path) -> str:
     for path in paths:
         digest.update(hashlib.sha256(read_bytes(path)).digest())
     return digest.hexdigest()
+
+
+def _check_heads(network: Network, path: Path) -> None:
+    """Make sure that each head has a convolution of its own, which may be cut to the classes that are asked for."""
+    read = {layer.source for layer in network.layers if isinstance(layer, Shortcut)}
+    read.update(*(layer.sources for layer in network.layers if isinstance(layer, Route)))
+    for index, layer in enumerate(network.layers):
+        own = isinstance(network.layers[index - 1], Convolution) and not {index - 1, index} & read
+        if isinstance(layer, YoloHead) and not own:
+            raise WeightsError(f"{path}: layer {index} [yolo] has no [convolutional] of its own before it")
 
 
 def _read_sections(path: Path) -> list[_Section]:

@@ -93,3 +93,9 @@ class Network:
     def heads(self) -> tuple[YoloHead, ...]:
         """Its yolo layers, in order."""
         return tuple(layer for layer in self.layers if isinstance(layer, YoloHead))
+
+    @property
+    def head_shapes(self) -> tuple[Shape, ...]:
+        """Channels, height, width of its yolo layers, in order."""
+        pairs = zip(self.layers, self.shapes, strict=True)
+        return tuple(shape for layer, shape in pairs if isinstance(layer, YoloHead))

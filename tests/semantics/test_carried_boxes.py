@@ -141,6 +141,30 @@ def test_it_is_dropped_when_it_has_left_the_image():
             assert boxes == (), k
 
 
+def test_how_much_must_be_visible_is_a_choice():
+    script, images = walk(12, seen=3, step=8, start=190)
+    visible = [np.clip(WIDTH - (190 + 8 * k), 0, BROAD) / BROAD for k in range(12)]
+    for boxes, share in zip(run(script, images, min_visible=0.75), visible, strict=True):
+        if abs(share - 0.75) > 0.05:
+            assert len(boxes) == (share > 0.75)
+
+
+def test_a_new_detection_replaces_what_was_carried():
+    images = [scene(k, 100) for k in range(4)]
+    larger = replace(box_at(100), x_min_px=90.0, y_max_px=230.0)
+    answers = run({0: [box_at(100)], 2: [larger]}, images)
+    assert [boxes[0].carried for boxes in answers] == [0, 1, 0, 1]
+    np.testing.assert_allclose(answers[1][0].xyxy_px, box_at(100).xyxy_px, atol=1.0)
+    np.testing.assert_allclose(answers[3][0].xyxy_px, larger.xyxy_px, atol=1.0)
+
+
+def test_one_who_runs_is_met_where_the_velocity_leads():
+    """The last steps, 40 px, leave an overlap of 0.2 with where the box was; 0.3 is asked for."""
+    places = [20, 45, 80, 120, 160]
+    answers = run({k: [box_at(x)] for k, x in enumerate(places)}, [scene(k) for k in range(5)])
+    assert [[box.track_id for box in boxes] for boxes in answers] == [[0]] * 5
+
+
 def test_a_figure_without_texture_goes_on_with_its_velocity():
     flat = np.full_like(FIGURE, 90)
     script, images = walk(10, seen=5, figure=flat)

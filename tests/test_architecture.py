@@ -134,13 +134,25 @@ def test_no_print_exit_or_broad_except_outside_the_command_line(path: Path) -> N
             assert not broad or reraises, f"{ids(path)}:{node.lineno}: a broad except that swallows"
 
 
+def _module_name(path: Path) -> str:
+    parts = path.relative_to(SOURCE).with_suffix("").parts
+    return ".".join(("stillroom", *parts)).removesuffix(".__init__")
+
+
 def _edges() -> dict[str, set[str]]:
+    """Return which module imports which. `from package import module` is an import of the module alone."""
+    modules = {_module_name(path) for path in FILES}
     graph: dict[str, set[str]] = {}
     for path in FILES:
-        module = ".".join(("stillroom", *path.relative_to(SOURCE).with_suffix("").parts)).removesuffix(".__init__")
-        known = {name for name in imported_modules(parse(path)) if name.startswith("stillroom.")}
-        graph[module] = known
-    return {module: {name for name in names if name in graph and name != module} for module, names in graph.items()}
+        targets = set()
+        for node in ast.walk(parse(path)):
+            if isinstance(node, ast.Import):
+                targets |= {alias.name for alias in node.names}
+            elif isinstance(node, ast.ImportFrom):
+                named = {f"{node.module}.{alias.name}" for alias in node.names}
+                targets |= {name if name in modules else str(node.module) for name in named}
+        graph[_module_name(path)] = (targets & modules) - {_module_name(path)}
+    return graph
 
 
 def test_no_import_cycles() -> None:

@@ -23,7 +23,7 @@ from stillroom.data.image import RgbdImage
 from stillroom.data.map import Map
 from stillroom.data.matches import Matches
 from stillroom.data.motion import Motion, Stage
-from stillroom.data.result import FrameResult
+from stillroom.data.result import FrameResult, Tracked
 from stillroom.data.semantics import Semantics
 from stillroom.data.trajectory import Trajectory
 from stillroom.geometry.arrays import F64
@@ -133,5 +133,5 @@ class MatchSieve(Protocol):
 class RunObserver(Protocol):
     """Looks on: a viewer, a progress line, a recorder of pictures. Never changes what it sees."""
 
-    def on_frame(self, image: RgbdImage, semantics: Semantics, motion: Motion, result: FrameResult) -> None:
-        """Take note of a tracked frame."""
+    def on_frame(self, tracked: Tracked, semantics: Semantics, result: FrameResult) -> None:
+        """Take note of a frame: all that tracking knew of it, and the light result that is kept."""

@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from stillroom.geometry.arrays import F32, I32, Bool
 
 
@@ -27,3 +29,9 @@ class Matches:
     def keep(self, chosen: Bool) -> "Matches":
         """Return the pairs that are chosen (M,)."""
         return Matches(self.keypoint[chosen], self.point_id[chosen], self.reference_px[chosen])
+
+    @staticmethod
+    def of(point_ids: I32) -> "Matches":
+        """Return the pairs of a frame whose keypoints see the points (N,), −1 for none; references unknown."""
+        keypoint = np.flatnonzero(point_ids >= 0).astype(np.int32)
+        return Matches(keypoint, point_ids[keypoint], np.full((len(keypoint), 2), np.nan, dtype=np.float32))

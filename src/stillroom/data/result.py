@@ -5,7 +5,7 @@ from enum import Enum
 
 from stillroom.data.frame import Frame
 from stillroom.data.motion import Motion
-from stillroom.geometry.arrays import F32, F64, I32, Bool
+from stillroom.geometry.arrays import F64, I32, Bool
 
 
 class TrackingState(Enum):
@@ -68,9 +68,6 @@ class FrameResult:
         is_keyframe: Whether this frame became one.
         reference_keyframe: Id of the keyframe that the final trajectory hangs this frame on; −1 when lost.
         T_reference_cam: Pose in that keyframe (4, 4); None when lost.
-        keypoints_raw_px: Keypoints in the image as taken (N, 2); for pictures.
-        is_static: Verdict on them (N,).
-        is_matched: Which of them have a map point (N,).
     """
 
     index: int
@@ -84,6 +81,3 @@ class FrameResult:
     is_keyframe: bool
     reference_keyframe: int
     T_reference_cam: F64 | None
-    keypoints_raw_px: F32 = field(repr=False)
-    is_static: Bool = field(repr=False)
-    is_matched: Bool = field(repr=False)

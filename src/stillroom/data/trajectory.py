@@ -35,9 +35,7 @@ class Trajectory:
         """Write `timestamp tx ty tz qx qy qz qw`, one pose a line."""
         quaternions_xyzw = se3.to_quaternions_xyzw(self.T_world_cam) if len(self) else np.zeros((0, 4))
         lines = ["# timestamp tx ty tz qx qy qz qw"]
-        for stamp, position, quaternion in zip(
-            self.timestamps_s, self.positions_m, quaternions_xyzw, strict=True
-        ):
+        for stamp, position, quaternion in zip(self.timestamps_s, self.positions_m, quaternions_xyzw, strict=True):
             numbers = " ".join(f"{value:.7f}" for value in (*position, *quaternion))
             lines.append(f"{stamp:.6f} {numbers}")
         path.write_text("\n".join(lines) + "\n", encoding="utf-8")

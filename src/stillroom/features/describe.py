@@ -26,11 +26,11 @@ def orientations(image: U8, px: F32, half_widths: I32, angle_rad: F32) -> None:
         cx, cy = int(px[i, 0]), int(px[i, 1])
         m10, m01 = 0, 0
         for dx in range(-radius, radius + 1):
-            m10 += dx * np.int64(image[cy, cx + dx])
+            m10 += dx * int(image[cy, cx + dx])
         for dy in range(1, radius + 1):
             total = 0
             for dx in range(-half_widths[dy], half_widths[dy] + 1):
-                below, above = np.int64(image[cy + dy, cx + dx]), np.int64(image[cy - dy, cx + dx])
+                below, above = int(image[cy + dy, cx + dx]), int(image[cy - dy, cx + dx])
                 total += below - above
                 m10 += dx * (below + above)
             m01 += dy * total

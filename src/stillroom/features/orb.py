@@ -55,9 +55,7 @@ class OrbExtractor:
         self._half_widths = patch_half_widths()
         shares = self.scales.factors**-1.0
         self._quotas = [int(q) for q in np.rint(config.n_features * shares / shares.sum())]
-        self._sizes = [
-            (max(1, round(camera.width / f)), max(1, round(camera.height / f))) for f in self.scales.factors
-        ]
+        self._sizes = [(max(1, round(camera.width / f)), max(1, round(camera.height / f))) for f in self.scales.factors]
         self._offsets = [turned_offsets(orb_pattern(), width_px) for width_px, _ in self._sizes]
 
     def extract(self, image: RgbdImage) -> Frame:

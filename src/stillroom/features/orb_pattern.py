@@ -49,7 +49,7 @@ def _sharpened(pair: I64, patches: F64, answers: Bool) -> I64:
     best, agreement = pair, _agreement(pair, patches, answers)
     if agreement < _AGREEMENT:
         steps = [dx + _WIDTH * dy for dx in (-1, 0, 1) for dy in (-1, 0, 1)]
-        candidates = np.clip([pair + (a, b) for a in steps for b in steps], 0, _WIDTH**2 - 1)
+        candidates = np.clip([pair + np.array((a, b)) for a in steps for b in steps], 0, _WIDTH**2 - 1)
         best = max(candidates, key=lambda candidate: _agreement(candidate, patches, answers))
         agreement = _agreement(best, patches, answers)
     assert agreement >= _AGREEMENT, f"OpenCV's ORB is not the one we know: a bit agrees in {agreement:.1%} only"

@@ -6,21 +6,21 @@ import numpy as np
 from numba import njit, types
 from numba.extending import intrinsic
 
-from stillroom.geometry.arrays import U8
+from stillroom.geometry.arrays import U8, U64
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@intrinsic
 def popcount64(typing_context: Any, word: Any) -> Any:
     """Count the set bits of an unsigned 64-bit word (inside kernels only)."""
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         return builder.ctpop(args[0])
 
-    return types.uint64(types.uint64), codegen
+    return types.int64(types.uint64), codegen
 
 
 @njit(nogil=True, cache=True)
-def hamming(first: U8, i: int, second: U8, j: int) -> int:
+def hamming(first: U64, i: int, second: U64, j: int) -> int:
     """Return the bits in which row i of `first` (N, 4) uint64 differs from row j of `second` (M, 4) uint64."""
     distance = 0
     for w in range(4):
@@ -28,7 +28,7 @@ def hamming(first: U8, i: int, second: U8, j: int) -> int:
     return distance
 
 
-def words(descriptors: U8) -> U8:
+def words(descriptors: U8) -> U64:
     """View descriptors (N, 32) uint8 as words (N, 4) uint64 for the kernels."""
-    view: U8 = np.ascontiguousarray(descriptors).view(np.uint64).reshape(-1, 4)
+    view: U64 = np.ascontiguousarray(descriptors).view(np.uint64).reshape(-1, 4)
     return view

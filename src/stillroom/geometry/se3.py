@@ -63,9 +63,7 @@ def angle_rad(T_a_b: Floats) -> F64:
     """
     R = T_a_b[..., :3, :3]
     sine = 0.5 * np.sqrt(
-        (R[..., 2, 1] - R[..., 1, 2]) ** 2
-        + (R[..., 0, 2] - R[..., 2, 0]) ** 2
-        + (R[..., 1, 0] - R[..., 0, 1]) ** 2
+        (R[..., 2, 1] - R[..., 1, 2]) ** 2 + (R[..., 0, 2] - R[..., 2, 0]) ** 2 + (R[..., 1, 0] - R[..., 0, 1]) ** 2
     )
     cosine = 0.5 * (np.trace(R, axis1=-2, axis2=-1) - 1.0)
     return np.asarray(np.arctan2(sine, cosine), dtype=np.float64)

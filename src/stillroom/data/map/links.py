@@ -3,7 +3,7 @@
 import numpy as np
 from numba import njit
 
-from stillroom.geometry.arrays import F32, F64, I32, I64, U8
+from stillroom.geometry.arrays import F32, F64, I32, I64, U64
 from stillroom.geometry.hamming import popcount64
 
 MAX_DESCRIPTORS = 20
@@ -105,7 +105,7 @@ def count_by_keyframe(points: I32, row_next: I32, first_row: I32, row_keyframe: 
 
 
 @njit(nogil=True, cache=True)
-def typical_descriptors(points: I32, row_next: I32, first_row: I32, words: U8, chosen: I32) -> None:
+def typical_descriptors(points: I32, row_next: I32, first_row: I32, words: U64, chosen: I32) -> None:
     """Choose for each point the row whose descriptor has the least median distance to the others.
 
     Args:

@@ -30,9 +30,7 @@ class Map:
 
     # Keyframes
 
-    def add_keyframe(
-        self, frame: Frame, T_world_cam: F64, point_ids: I32, is_static: Bool, parent: int
-    ) -> int:
+    def add_keyframe(self, frame: Frame, T_world_cam: F64, point_ids: I32, is_static: Bool, parent: int) -> int:
         """Add a frame as a keyframe that sees the given points.
 
         Args:
@@ -167,6 +165,17 @@ class Map:
         self.points.n_visible[new_ids] += self.points.n_visible[old_ids]
         self.points.n_found[new_ids] += self.points.n_found[old_ids]
         self.points.is_alive[old_ids] = False
+        self.points.replaced_by[old_ids] = new_ids
+
+    def current_ids(self, point_ids: I32) -> I32:
+        """Follow points (N,) that were replaced to what they are now; −1 for those that are gone."""
+        ids = point_ids.copy()
+        while True:
+            stale = np.flatnonzero(ids >= 0)
+            stale = stale[~self.points.is_alive[ids[stale]]]
+            if len(stale) == 0:
+                return ids
+            ids[stale] = self.points.replaced_by[ids[stale]]
 
     def observations(self, point_ids: Ints) -> tuple[I32, I32]:
         """Return all observations of points (N,): place in `point_ids` (M,) and keypoint row (M,)."""

@@ -40,8 +40,7 @@ class Table:
         columns = [value for value in vars(type(self)).values() if isinstance(value, Column)]
         self.columns: tuple[Column[Any], ...] = tuple(columns)
         self.buffers: dict[str, NDArray[Any]] = {
-            column.name: np.full((capacity, *column.tail), column.fill, dtype=column.dtype)
-            for column in self.columns
+            column.name: np.full((capacity, *column.tail), column.fill, dtype=column.dtype) for column in self.columns
         }
         self._length = 0
         self._capacity = capacity
@@ -104,6 +103,7 @@ class PointTable(Table):
     n_visible = Column(np.int32, fill=1)
     n_found = Column(np.int32, fill=1)
     is_alive = Column(np.bool_, fill=1)
+    replaced_by = Column(np.int32, fill=-1)
 
 
 class KeyframeTable(Table):

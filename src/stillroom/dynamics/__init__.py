@@ -1,0 +1,1 @@
+"""What does move: the sieves."""

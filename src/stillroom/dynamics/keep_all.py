@@ -1,0 +1,44 @@
+"""The sieves of a system that believes the world to be static."""
+
+from dataclasses import dataclass
+
+from stillroom.data.frame import Frame
+from stillroom.data.map import Map
+from stillroom.data.matches import Matches
+from stillroom.data.motion import Motion, Stage
+from stillroom.data.semantics import Semantics
+from stillroom.geometry.arrays import F64
+from stillroom.protocols import Pending
+
+
+class KeepAllKeypoints:
+    """Sieve 1 that lets every keypoint pass."""
+
+    def __call__(self, frame: Frame, semantics: Pending[Semantics]) -> Frame:
+        """Return the frame as it is."""
+        return frame
+
+
+@dataclass(frozen=True)
+class KeepAllConfig:
+    """Nothing moves: plain ORB-SLAM2."""
+
+    def build(self, seed: int = 0) -> "KeepAllMatches":
+        """Return the sieve."""
+        return KeepAllMatches()
+
+
+class KeepAllMatches:
+    """Sieve 2 that lets every match pass."""
+
+    def judge(
+        self,
+        stage: Stage,
+        frame: Frame,
+        matches: Matches,
+        semantics: Pending[Semantics],
+        T_cam_world: F64,
+        world: Map,
+    ) -> Motion:
+        """Return that nothing moves."""
+        return Motion.none(len(frame), frame.image.height, frame.image.width)

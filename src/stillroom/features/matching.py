@@ -1,0 +1,265 @@
+"""Finding described places again: in a window, along epipolar lines, or anywhere (ORB-SLAM2's searches)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from stillroom.features.grid import CELL_PX, build_grid
+from stillroom.geometry.arrays import F32, F64, I32, U8, U64, Bool, Floats, Ints
+from stillroom.geometry.hamming import hamming, words
+
+FAR_BITS = 100
+"""Descriptors further apart than this never match when there is a window to search in (ORB-SLAM2's TH_HIGH)."""
+NEAR_BITS = 50
+"""The same where there is none (TH_LOW)."""
+_HISTOGRAM_BINS = 30
+
+
+@dataclass(frozen=True)
+class Queries:
+    """Q places to find in an image.
+
+    Attributes:
+        px: Where to look (Q, 2) float32 [px, undistorted].
+        radius_px: How far around (Q,) float32.
+        min_octave, max_octave: Levels to look on (Q,) int32, both included.
+        right_px: Expected right coordinate (Q,) float32; −1 where not known.
+        descriptors: (Q, 32) uint8.
+    """
+
+    px: F32
+    radius_px: F32
+    min_octave: I32
+    max_octave: I32
+    right_px: F32
+    descriptors: U8
+
+
+@dataclass(frozen=True)
+class Targets:
+    """N keypoints to search among; `usable` (N,) leaves out those that are taken or moving."""
+
+    px: F32
+    octave: I32
+    right_px: F32
+    descriptors: U8
+    usable: Bool
+
+
+def search_windows(queries: Queries, targets: Targets, max_bits: int = FAR_BITS, ratio: float = 1.0) -> tuple[I32, I32]:
+    """Find for each query the nearest descriptor in its window.
+
+    Args:
+        queries: What to find.
+        targets: Where.
+        max_bits: Largest distance of descriptors.
+        ratio: The best must be nearer than this share of the second best of the same octave; 1 switches it off.
+
+    Returns:
+        Query (M,) and target (M,) of each match; a target wanted by several goes to the nearest of them.
+    """
+    grid = build_grid(targets.px)
+    target, bits = _search_windows(
+        queries.px,
+        queries.radius_px,
+        queries.min_octave,
+        queries.max_octave,
+        queries.right_px,
+        words(queries.descriptors),
+        targets.px,
+        targets.octave,
+        targets.right_px,
+        words(targets.descriptors),
+        targets.usable,
+        grid.origin_px,
+        grid.shape,
+        grid.start,
+        grid.order,
+        max_bits,
+        ratio,
+    )
+    return _one_to_one(target, bits, len(targets.px))
+
+
+@njit(nogil=True, cache=True)
+def _search_windows(
+    query_px: F32,
+    radius_px: F32,
+    min_octave: I32,
+    max_octave: I32,
+    query_right_px: F32,
+    query_words: U64,
+    px: F32,
+    octave: I32,
+    right_px: F32,
+    target_words: U64,
+    usable: Bool,
+    origin_px: F32,
+    shape: I32,
+    start: I32,
+    order: I32,
+    max_bits: int,
+    ratio: float,
+) -> tuple[I32, I32]:
+    n = len(query_px)
+    found = np.full(n, -1, np.int32)
+    found_bits = np.full(n, 257, np.int32)
+    for q in range(n):
+        x, y, r = query_px[q, 0], query_px[q, 1], radius_px[q]
+        c0 = max(0, int(np.floor((x - r - origin_px[0]) / CELL_PX)))
+        c1 = min(shape[1] - 1, int(np.floor((x + r - origin_px[0]) / CELL_PX)))
+        r0 = max(0, int(np.floor((y - r - origin_px[1]) / CELL_PX)))
+        r1 = min(shape[0] - 1, int(np.floor((y + r - origin_px[1]) / CELL_PX)))
+        if c1 < c0 or r1 < r0:
+            continue
+        best, second, best_octave, second_octave, at = 257, 257, -1, -1, -1
+        for row in range(r0, r1 + 1):
+            for k in range(start[row * shape[1] + c0], start[row * shape[1] + c1 + 1]):
+                i = order[k]
+                if not usable[i] or octave[i] < min_octave[q] or octave[i] > max_octave[q]:
+                    continue
+                if abs(px[i, 0] - x) > r or abs(px[i, 1] - y) > r:
+                    continue
+                if query_right_px[q] >= 0 and right_px[i] >= 0 and abs(query_right_px[q] - right_px[i]) > r:
+                    continue
+                bits = hamming(query_words, q, target_words, i)
+                if bits < best:
+                    second, second_octave = best, best_octave
+                    best, best_octave, at = bits, octave[i], i
+                elif bits < second:
+                    second, second_octave = bits, octave[i]
+        if best > max_bits:
+            continue
+        if best_octave == second_octave and best > ratio * second:
+            continue
+        found[q] = at
+        found_bits[q] = best
+    return found, found_bits
+
+
+def match_anywhere(first: U8, second: U8, max_bits: int = NEAR_BITS, ratio: float = 0.7) -> tuple[I32, I32]:
+    """Match descriptors (N, 32) with (M, 32) without any idea where, by nearest neighbour and ratio test.
+
+    Returns:
+        Indices into `first` and `second` (K,) of the matches, one to one.
+    """
+    target, bits = _match_anywhere(words(first), words(second), max_bits, ratio)
+    return _one_to_one(target, bits, len(second))
+
+
+@njit(nogil=True, cache=True)
+def _match_anywhere(first: U64, second: U64, max_bits: int, ratio: float) -> tuple[I32, I32]:
+    found = np.full(len(first), -1, np.int32)
+    found_bits = np.full(len(first), 257, np.int32)
+    for i in range(len(first)):
+        best, runner_up, at = 257, 257, -1
+        for j in range(len(second)):
+            bits = hamming(first, i, second, j)
+            if bits < best:
+                runner_up = best
+                best, at = bits, j
+            elif bits < runner_up:
+                runner_up = bits
+        if best <= max_bits and best < ratio * runner_up:
+            found[i] = at
+            found_bits[i] = best
+    return found, found_bits
+
+
+def search_epipolar(
+    F_second_first: F64, first: Targets, second: Targets, scale_factors: F64, epipole_px: Floats
+) -> tuple[I32, I32]:
+    """Match usable keypoints of two keyframes along epipolar lines (ORB-SLAM2's search for triangulation).
+
+    Args:
+        F_second_first: Fundamental matrix (3, 3): `p_second @ F @ p_first = 0`.
+        first, second: Keypoints; only the usable ones take part.
+        scale_factors: Size of a pixel on each level (L,).
+        epipole_px: Projection of the first camera's centre in the second image (2,); without depth nothing near it
+            can be triangulated.
+
+    Returns:
+        Indices into `first` and `second` (K,), one to one.
+    """
+    mine, theirs = np.flatnonzero(first.usable), np.flatnonzero(second.usable)
+    target, bits = _search_epipolar(
+        F_second_first,
+        first.px[mine].astype(np.float64),
+        first.right_px[mine],
+        words(first.descriptors[mine]),
+        second.px[theirs].astype(np.float64),
+        second.right_px[theirs],
+        second.octave[theirs],
+        words(second.descriptors[theirs]),
+        scale_factors,
+        np.asarray(epipole_px, dtype=np.float64),
+    )
+    query, found = _one_to_one(target, bits, len(theirs))
+    return mine[query].astype(np.int32), theirs[found].astype(np.int32)
+
+
+@njit(nogil=True, cache=True)
+def _search_epipolar(
+    F: F64,
+    px1: F64,
+    right1: F32,
+    words1: U64,
+    px2: F64,
+    right2: F32,
+    octave2: I32,
+    words2: U64,
+    scale_factors: F64,
+    epipole_px: F64,
+) -> tuple[I32, I32]:
+    found = np.full(len(px1), -1, np.int32)
+    found_bits = np.full(len(px1), 257, np.int32)
+    for i in range(len(px1)):
+        x, y = px1[i, 0], px1[i, 1]
+        a = F[0, 0] * x + F[0, 1] * y + F[0, 2]
+        b = F[1, 0] * x + F[1, 1] * y + F[1, 2]
+        c = F[2, 0] * x + F[2, 1] * y + F[2, 2]
+        norm = a * a + b * b
+        if norm == 0.0:
+            continue
+        best = NEAR_BITS + 1
+        for j in range(len(px2)):
+            sigma = scale_factors[octave2[j]]
+            distance = a * px2[j, 0] + b * px2[j, 1] + c
+            if distance * distance > 3.84 * sigma * sigma * norm:
+                continue
+            if right1[i] < 0 and right2[j] < 0:
+                ex, ey = epipole_px[0] - px2[j, 0], epipole_px[1] - px2[j, 1]
+                if ex * ex + ey * ey < 100.0 * sigma:
+                    continue
+            bits = hamming(words1, i, words2, j)
+            if bits < best:
+                best = bits
+                found[i] = j
+                found_bits[i] = bits
+    return found, found_bits
+
+
+def _one_to_one(target: I32, bits: I32, n_targets: int) -> tuple[I32, I32]:
+    """Keep for each target the nearest query; `target` (Q,) is −1 where a query found nothing."""
+    query = np.flatnonzero(target >= 0)
+    by_distance = query[np.argsort(bits[query], kind="stable")]
+    owner = np.full(n_targets, -1, dtype=np.int32)
+    owner[target[by_distance[::-1]]] = by_distance[::-1]
+    mine = query[owner[target[query]] == query]
+    return mine.astype(np.int32), target[mine]
+
+
+def consistent_rotation(first_rad: Floats, second_rad: Floats) -> Bool:
+    """Keep matches (M,) whose change of orientation is among the three most common (ORB-SLAM2's histogram).
+
+    The second and third bin count only with at least a tenth of the first one's matches.
+    """
+    if len(first_rad) == 0:
+        return np.zeros(0, dtype=np.bool_)
+    turn = np.mod(np.asarray(first_rad) - np.asarray(second_rad), 2.0 * np.pi)
+    bins: Ints = np.minimum((turn * (_HISTOGRAM_BINS / (2.0 * np.pi))).astype(np.int64), _HISTOGRAM_BINS - 1)
+    counts = np.bincount(bins, minlength=_HISTOGRAM_BINS)
+    best = np.argsort(-counts, kind="stable")[:3]
+    chosen = best[counts[best] >= max(1.0, 0.1 * counts[best[0]])]
+    return np.isin(bins, chosen)

@@ -1,0 +1,1 @@
+"""What a keyframe adds to the map, and what it takes out."""

@@ -1,0 +1,89 @@
+"""What leaves the map again: points that did not prove themselves, keyframes that add nothing."""
+
+from numba import njit
+
+from stillroom.data.map import Map
+from stillroom.geometry.arrays import F32, I32, Bool
+
+MIN_FOUND_RATIO = 0.25
+MIN_OBSERVATIONS = 3
+TRIAL_KEYFRAMES = 8
+"""ORB-SLAM2 has 2. Its keyframes lie further apart in time; here that would throw away most of what a fast turn saw."""
+REDUNDANT_SHARE = 0.9
+_MIN_OTHERS = 3
+
+
+def cull_points(recent: I32, keyframe: int, world: Map) -> I32:
+    """Remove recent points (P,) that are rarely found or, some keyframes on, hardly seen; return those on trial still.
+
+    An observation with depth counts as two (REFERENCE 2.6).
+    """
+    points = world.points
+    recent = recent[points.is_alive[recent]]
+    age = keyframe - points.first_keyframe[recent]
+    rarely = points.n_found[recent] < MIN_FOUND_RATIO * points.n_visible[recent]
+    hardly = (age >= TRIAL_KEYFRAMES) & (points.n_observations[recent] <= MIN_OBSERVATIONS)
+    world.remove_points(recent[rarely | hardly])
+    return recent[~(rarely | hardly) & (age < TRIAL_KEYFRAMES)]
+
+
+def cull_keyframes(keyframe: int, close_depth_m: float, world: Map) -> list[int]:
+    """Remove covisible keyframes of which 90 % of the close points are seen by three others as finely.
+
+    The first keyframe, which is the origin, and the newest stay.
+
+    Returns:
+        The removed keyframes.
+    """
+    removed = []
+    for candidate in world.covisibility.neighbours(keyframe):
+        if candidate == 0:
+            continue
+        rows = world.rows(candidate)
+        table, points = world.keypoints, world.points
+        n_close, n_redundant = count_redundant(
+            rows.start,
+            rows.stop,
+            close_depth_m,
+            table.point,
+            table.depth_m,
+            table.octave,
+            table.keyframe,
+            table.next_row,
+            points.first_row,
+            points.is_alive,
+        )
+        if n_close > 0 and n_redundant > REDUNDANT_SHARE * n_close:
+            world.remove_keyframe(candidate)
+            removed.append(candidate)
+    return removed
+
+
+@njit(nogil=True, cache=True)
+def count_redundant(
+    start: int,
+    stop: int,
+    close_depth_m: float,
+    row_point: I32,
+    row_depth_m: F32,
+    row_octave: I32,
+    row_keyframe: I32,
+    next_row: I32,
+    first_row: I32,
+    is_alive: Bool,
+) -> tuple[int, int]:
+    """Count the close points that rows see, and those of them that three other keyframes see as finely."""
+    n_close, n_redundant = 0, 0
+    for row in range(start, stop):
+        point = row_point[row]
+        if point < 0 or not is_alive[point] or row_depth_m[row] <= 0 or row_depth_m[row] > close_depth_m:
+            continue
+        n_close += 1
+        others = 0
+        other = first_row[point]
+        while other >= 0 and others < _MIN_OTHERS:
+            if row_keyframe[other] != row_keyframe[row] and row_octave[other] <= row_octave[row] + 1:
+                others += 1
+            other = next_row[other]
+        n_redundant += others >= _MIN_OTHERS
+    return n_close, n_redundant

@@ -1,0 +1,93 @@
+"""Finding out that two points are one."""
+
+import numpy as np
+
+from stillroom.data.map import Map
+from stillroom.features.matching import NEAR_BITS, Queries, Targets, search_windows
+from stillroom.features.projection import project_points
+from stillroom.geometry import se3
+from stillroom.geometry.arrays import I32
+from stillroom.geometry.camera import Camera
+
+_WINDOW_PX = 3.0
+_CHI2_2D, _CHI2_3D = 5.99, 7.8
+
+
+def neighbourhood(keyframe: int, world: Map, n_first: int = 10, n_second: int = 5) -> list[int]:
+    """Return covisible keyframes and a few of theirs, each once, in a fixed order."""
+    chosen: dict[int, None] = {}
+    for neighbour in world.covisibility.neighbours(keyframe, n_first):
+        chosen[neighbour] = None
+        for second in world.covisibility.neighbours(neighbour, n_second):
+            if second != keyframe:
+                chosen[second] = None
+    return list(chosen)
+
+
+def fuse_neighbourhood(keyframe: int, camera: Camera, world: Map) -> None:
+    """Project the keyframe's points into its neighbours and theirs into it; join what meets (ORB-SLAM2)."""
+    neighbours = neighbourhood(keyframe, world)
+    for neighbour in neighbours:
+        own = world.points_of(keyframe)
+        fuse(own[own >= 0], neighbour, camera, world)
+    seen = np.concatenate([world.points_of(neighbour) for neighbour in neighbours] or [np.zeros(0, np.int32)])
+    fuse(np.unique(seen[seen >= 0]), keyframe, camera, world)
+    own = world.points_of(keyframe)
+    world.refresh(own[own >= 0])
+    world.connect(keyframe)
+
+
+def fuse(point_ids: I32, keyframe: int, camera: Camera, world: Map) -> None:
+    """Let a keyframe see those of the points (P,) that it should: by a new observation, or by joining two points.
+
+    Of two points that are one, the one with more observations stays.
+    """
+    rows = world.rows(keyframe)
+    table, points = world.keypoints, world.points
+    own = world.points_of(keyframe)
+    ids = point_ids[~np.isin(point_ids, own[own >= 0])]
+    projection = project_points(
+        se3.inverse(world.keyframes.T_world_cam[keyframe]),
+        camera,
+        world.scales.factors,
+        points.position_m[ids],
+        points.normal[ids],
+        points.min_distance_m[ids],
+        points.max_distance_m[ids],
+    )
+    visible = np.flatnonzero(projection.visible)
+    ids, octave = ids[visible], projection.octave[visible]
+    queries = Queries(
+        projection.px[visible],
+        (_WINDOW_PX * world.scales.factors[octave]).astype(np.float32),
+        octave - 1,
+        octave,
+        projection.right_px[visible],
+        points.descriptors[ids],
+    )
+    targets = Targets(
+        table.px[rows], table.octave[rows], table.right_px[rows], table.descriptors[rows], table.is_static[rows]
+    )
+    query, target = search_windows(queries, targets, max_bits=NEAR_BITS)
+    found = rows.start + target
+    error2 = ((queries.px[query] - table.px[found]) ** 2).sum(axis=1)
+    has_depth = table.right_px[found] >= 0
+    error2 += np.where(has_depth, (queries.right_px[query] - table.right_px[found]) ** 2, 0.0)
+    error2 *= world.scales.inverse_variances[table.octave[found]]
+    good = error2 <= np.where(has_depth, _CHI2_3D, _CHI2_2D)
+    _join(ids[query[good]], found[good], world)
+
+
+def _join(ids: I32, rows: I32, world: Map) -> None:
+    other = world.keypoints.point[rows]
+    fresh = other < 0
+    world.observe(ids[fresh], rows[fresh])
+    ids, other = ids[~fresh], other[~fresh]
+    weaker = world.points.n_observations[ids] <= world.points.n_observations[other]
+    old, new = np.where(weaker, ids, other), np.where(weaker, other, ids)
+    # Each point at most once on either side, so that no chain of replacements forms.
+    _, first = np.unique(old, return_index=True)
+    keep = np.zeros(len(old), dtype=np.bool_)
+    keep[first] = True
+    keep &= ~np.isin(old, new) & (old != new)
+    world.replace_points(old[keep], new[keep])

@@ -1,0 +1,78 @@
+"""Local mapping (ORB-SLAM2): what happens to the map when a keyframe comes."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from stillroom.data.map import Map
+from stillroom.data.result import Tracked
+from stillroom.geometry.camera import Camera
+from stillroom.mapping.culling import cull_keyframes, cull_points
+from stillroom.mapping.fusing import fuse_neighbourhood
+from stillroom.mapping.local_bundle import adjust_locally
+from stillroom.mapping.new_points import by_triangulation, from_depth
+from stillroom.optimize.bundle import BundleConfig
+
+
+@dataclass(frozen=True)
+class LocalMapperConfig:
+    """Local mapping.
+
+    Attributes:
+        th_depth: Points nearer than this many baselines are close: made from depth, counted for redundancy.
+        n_neighbours: Covisible keyframes to triangulate with.
+        max_bundle_keyframes: Keyframes that local bundle adjustment moves, at most.
+        cull_keyframes: Whether redundant keyframes are removed.
+    """
+
+    th_depth: float = 40.0
+    n_neighbours: int = 10
+    max_bundle_keyframes: int = 20
+    cull_keyframes: bool = True
+    bundle: BundleConfig = field(default_factory=BundleConfig)
+
+    def build(self, camera: Camera, world: Map) -> "LocalMapper":
+        """Return the mapper of a map."""
+        return LocalMapper(self, camera, world)
+
+
+class LocalMapper:
+    """Adds keyframes to a map and refines the map around them."""
+
+    def __init__(self, config: LocalMapperConfig, camera: Camera, world: Map) -> None:
+        """Start with nothing on trial."""
+        self.config, self.camera, self.world = config, camera, world
+        self._adjust = config.bundle.build()
+        self._close_depth_m = config.th_depth * camera.baseline_m
+        self._on_trial = np.zeros(0, dtype=np.int32)
+
+    def insert(self, tracked: Tracked) -> int:
+        """Add a frame as a keyframe, with points from the depth of its static keypoints; return its id."""
+        assert tracked.T_world_cam is not None
+        keyframe = self.world.add_keyframe(
+            tracked.frame,
+            tracked.T_world_cam,
+            tracked.point_ids,
+            tracked.motion.is_static & tracked.frame.is_static,
+            tracked.reference_keyframe,
+        )
+        new = from_depth(keyframe, tracked, self._close_depth_m, self.world)
+        self._on_trial = np.append(self._on_trial, new)
+        self.world.connect(keyframe)
+        return keyframe
+
+    def refine(self, keyframe: int) -> None:
+        """Cull, triangulate, fuse, adjust and cull around a new keyframe."""
+        world = self.world
+        seen = world.points_of(keyframe)
+        world.refresh(seen[seen >= 0])
+        self._on_trial = cull_points(self._on_trial, keyframe, world)
+        neighbours = world.covisibility.neighbours(keyframe, self.config.n_neighbours)
+        if not neighbours:
+            return
+        new = by_triangulation(keyframe, neighbours, self.camera, world)
+        self._on_trial = np.append(self._on_trial, new)
+        fuse_neighbourhood(keyframe, self.camera, world)
+        adjust_locally(keyframe, self.config.max_bundle_keyframes, self.camera, self._adjust, world)
+        if self.config.cull_keyframes:
+            cull_keyframes(keyframe, self._close_depth_m, world)

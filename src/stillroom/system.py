@@ -1,0 +1,111 @@
+"""The system: one image in, one pose out. Read `Slam.process` first."""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from stillroom.data.image import RgbdImage
+from stillroom.data.map import Map
+from stillroom.data.result import FrameResult, Tracked
+from stillroom.data.semantics import Semantics
+from stillroom.data.trajectory import Trajectory
+from stillroom.geometry import se3
+from stillroom.geometry.arrays import F64
+from stillroom.mapping.local_mapper import LocalMapper
+from stillroom.protocols import FeatureExtractor, KeypointSieve, Pending, RunObserver, Schedule, Segmenter
+from stillroom.tracking.keyframe_policy import KeyframePolicy
+from stillroom.tracking.relocalizer import Relocalizer
+from stillroom.tracking.tracker import Tracker
+
+
+@dataclass
+class Slam:
+    """An RGB-D SLAM system, put together by `config.build`."""
+
+    schedule: Schedule
+    segmenter: Segmenter
+    features: FeatureExtractor
+    keypoint_sieve: KeypointSieve
+    tracker: Tracker
+    recovery: Relocalizer
+    keyframe_policy: KeyframePolicy
+    mapper: LocalMapper
+    map: Map
+    observer: RunObserver
+    results: list[FrameResult] = field(default_factory=list)
+
+    def process(self, image: RgbdImage) -> FrameResult:
+        """Track one image; images come in order of time."""
+        semantics = self.schedule.submit(self.segmenter, image)  # what may move; awaited by the sieve that reads it
+        frame = self.features.extract(image)
+        frame = self.keypoint_sieve(frame, semantics)  # sieve 1
+        tracked = self.tracker.track(frame, semantics, self.map)  # sieve 2 inside: a pose, and what does move
+        if tracked.lost:
+            tracked = self.recovery.recover(tracked, semantics, self.map)
+        keyframe = -1
+        if self.keyframe_policy.wants(tracked, self.map):
+            keyframe = self.mapper.insert(tracked)  # now: points from depth, from static keypoints only
+            self.schedule.submit(self.mapper.refine, keyframe)  # later: triangulate, fuse, adjust, cull
+        return self._conclude(tracked, semantics, keyframe)
+
+    def trajectory(self) -> Trajectory:
+        """Return the final poses: each frame on its reference keyframe, wherever that is now; lost frames left out."""
+        stamps, poses = [], []
+        for result in self.results:
+            if result.T_reference_cam is not None:
+                stamps.append(result.timestamp_s)
+                poses.append(self.map.keyframe_pose(result.reference_keyframe) @ result.T_reference_cam)
+        return _trajectory(stamps, poses)
+
+    def online_trajectory(self) -> Trajectory:
+        """Return the poses as `process` returned them."""
+        placed = [(r.timestamp_s, r.T_world_cam) for r in self.results if r.T_world_cam is not None]
+        return _trajectory([stamp for stamp, _ in placed], [pose for _, pose in placed])
+
+    def keyframe_trajectory(self) -> Trajectory:
+        """Return the poses of the keyframes in the map."""
+        alive = self.map.alive_keyframes()
+        keyframes = self.map.keyframes
+        return _trajectory(list(keyframes.timestamp_s[alive]), list(keyframes.T_world_cam[alive]))
+
+    def close(self) -> None:
+        """Finish the work that is still under way."""
+        self.schedule.close()
+
+    def _conclude(self, tracked: Tracked, semantics: Pending[Semantics], keyframe: int) -> FrameResult:
+        """Let the tracker remember the frame, mapping included, and note what is worth keeping of it."""
+        if keyframe >= 0:
+            tracked = replace(
+                tracked,
+                reference_keyframe=keyframe,
+                T_world_cam=self.map.keyframe_pose(keyframe),
+                point_ids=self.map.points_of(keyframe).copy(),
+            )
+        self.tracker.remember(tracked, self.map)
+        frame = tracked.frame
+        is_static = frame.is_static & tracked.motion.is_static
+        result = FrameResult(
+            index=frame.image.index,
+            timestamp_s=frame.timestamp_s,
+            state=tracked.state,
+            T_world_cam=tracked.T_world_cam,
+            n_keypoints=len(frame),
+            n_static=int(is_static.sum()),
+            n_inliers=tracked.n_inliers,
+            n_keyframes=len(self.map.alive_keyframes()),
+            is_keyframe=keyframe >= 0,
+            reference_keyframe=tracked.reference_keyframe,
+            T_reference_cam=self._in_reference(tracked),
+        )
+        self.results.append(result)
+        self.observer.on_frame(tracked, semantics.result(), result)
+        return result
+
+    def _in_reference(self, tracked: Tracked) -> F64 | None:
+        if tracked.T_world_cam is None:
+            return None
+        return se3.inverse(self.map.keyframe_pose(tracked.reference_keyframe)) @ tracked.T_world_cam
+
+
+def _trajectory(timestamps_s: list[float], poses: list[F64]) -> Trajectory:
+    return Trajectory(np.array(timestamps_s, dtype=np.float64), np.array(poses, dtype=np.float64).reshape(-1, 4, 4))

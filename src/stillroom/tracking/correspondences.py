@@ -1,0 +1,116 @@
+"""The searches of the three tracking stages: which keypoint of the frame sees which point of the map."""
+
+import numpy as np
+
+from stillroom.data.frame import Frame
+from stillroom.data.map import Map
+from stillroom.data.matches import Matches
+from stillroom.data.result import Tracked
+from stillroom.features.matching import Queries, Targets, consistent_rotation, match_anywhere, search_windows
+from stillroom.features.projection import project_points
+from stillroom.geometry import se3
+from stillroom.geometry.arrays import F64, I32, Bool
+
+
+def targets_of(frame: Frame, usable: Bool) -> Targets:
+    """Return the frame's keypoints as something to search among."""
+    kp = frame.keypoints
+    return Targets(kp.px, kp.octave, kp.right_px, kp.descriptors, usable)
+
+
+def with_last_frame(frame: Frame, last: Tracked, T_cam_world: F64, world: Map, radius_px: float) -> Matches:
+    """Look for the last frame's points around where the motion model expects them.
+
+    The level to look on follows from the direction of travel: forward makes things larger (ORB-SLAM2).
+
+    Args:
+        frame: The present frame.
+        last: The last frame, its points as known now.
+        T_cam_world: Predicted pose (4, 4).
+        world: The map.
+        radius_px: Window on the finest level; wider on coarser ones.
+    """
+    assert last.T_world_cam is not None
+    seen = np.flatnonzero(last.point_ids >= 0)
+    ids = last.point_ids[seen]
+    points_cam = se3.transform(T_cam_world, world.points.position_m[ids])
+    ahead = points_cam[:, 2] > 0.05
+    seen, ids, points_cam = seen[ahead], ids[ahead], points_cam[ahead]
+    camera, keypoints = frame.camera, last.frame.keypoints
+    px = camera.project(points_cam).astype(np.float32)
+    octave = keypoints.octave[seen]
+    travel_m = float((se3.inverse(last.T_world_cam) @ se3.inverse(T_cam_world))[2, 3])
+    low, high = octave - 1, octave + 1
+    if travel_m > camera.baseline_m:
+        low, high = octave, np.full_like(octave, world.scales.count - 1)
+    elif travel_m < -camera.baseline_m:
+        low, high = np.zeros_like(octave), octave
+    queries = Queries(
+        px,
+        (radius_px * world.scales.factors[octave]).astype(np.float32),
+        low,
+        high,
+        camera.right_coordinate(px[:, 0], points_cam[:, 2]),
+        world.points.descriptors[ids],
+    )
+    query, target = search_windows(queries, targets_of(frame, frame.is_static))
+    steady = consistent_rotation(keypoints.angle_rad[seen[query]], frame.keypoints.angle_rad[target])
+    return Matches(target, ids[query], keypoints.px[seen[query]]).keep(steady)
+
+
+def with_keyframe(frame: Frame, keyframe: int, world: Map) -> Matches:
+    """Match with a keyframe's points by their descriptors alone."""
+    rows = world.rows(keyframe)
+    point = world.keypoints.point[rows]
+    seen = np.flatnonzero(point >= 0)
+    usable = np.flatnonzero(frame.is_static)
+    mine, theirs = match_anywhere(
+        frame.keypoints.descriptors[usable], world.keypoints.descriptors[rows][seen], ratio=0.75
+    )
+    target, place = usable[mine].astype(np.int32), seen[theirs]
+    steady = consistent_rotation(world.keypoints.angle_rad[rows][place], frame.keypoints.angle_rad[target])
+    return Matches(target, point[place], world.keypoints.px[rows][place]).keep(steady)
+
+
+def with_points(
+    frame: Frame, ids: I32, free: Bool, T_cam_world: F64, world: Map, widen: float, ratio: float = 0.8
+) -> tuple[Matches, I32]:
+    """Look for map points around their projection under a pose that is already good.
+
+    Args:
+        frame: The present frame.
+        ids: Points to look for (P,).
+        free: Keypoints that may still be matched (N,).
+        T_cam_world: Pose (4, 4).
+        world: The map.
+        widen: Factor on the window.
+        ratio: Ratio test.
+
+    Returns:
+        The matches, and the points (V,) that should have been visible.
+    """
+    points = world.points
+    projection = project_points(
+        T_cam_world,
+        frame.camera,
+        world.scales.factors,
+        points.position_m[ids],
+        points.normal[ids],
+        points.min_distance_m[ids],
+        points.max_distance_m[ids],
+    )
+    visible = np.flatnonzero(projection.visible)
+    ids, octave = ids[visible], projection.octave[visible]
+    # ORB-SLAM2: a point seen almost head-on is looked for more narrowly.
+    window_px = np.where(projection.view_cos[visible] > 0.998, 2.5, 4.0) * widen
+    queries = Queries(
+        projection.px[visible],
+        (window_px * world.scales.factors[octave]).astype(np.float32),
+        octave - 1,
+        octave,
+        projection.right_px[visible],
+        points.descriptors[ids],
+    )
+    query, target = search_windows(queries, targets_of(frame, free & frame.is_static), ratio=ratio)
+    unknown_px = np.full((len(query), 2), np.nan, dtype=np.float32)
+    return Matches(target, ids[query], unknown_px), ids

@@ -1,0 +1,221 @@
+"""The three stages of ORB-SLAM2's tracking, with the match sieve asked at each."""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from stillroom.data.frame import Frame
+from stillroom.data.map import Map
+from stillroom.data.matches import Matches
+from stillroom.data.motion import Motion, Stage
+from stillroom.data.result import Tracked, TrackingState
+from stillroom.data.semantics import Semantics
+from stillroom.geometry import se3
+from stillroom.geometry.arrays import F64, I32
+from stillroom.optimize import measurements
+from stillroom.optimize.pose import PoseOptimizerConfig
+from stillroom.protocols import MatchSieve, Pending
+from stillroom.tracking import correspondences, local_map
+from stillroom.tracking.motion_model import ConstantVelocity
+
+
+@dataclass(frozen=True)
+class TrackerConfig:
+    """When tracking trusts what it found (ORB-SLAM2's numbers).
+
+    Attributes:
+        min_initial_keypoints: Static keypoints with depth that a first frame must have.
+        window_px: Search window of the motion-model stage; doubled when too little is found.
+        min_matches: Matches that the motion-model stage needs.
+        min_keyframe_matches: Matches that the reference-keyframe stage needs.
+        min_coarse_inliers: Inliers that either of them needs.
+        min_inliers: Inliers that the local-map stage needs.
+        min_inliers_recovered: The same for a second after the camera was lost.
+        local_window: Factor on the search window of the local-map stage. ORB-SLAM2 has 3; with 5 a fast turn of the
+            camera keeps its matches.
+    """
+
+    min_initial_keypoints: int = 200
+    window_px: float = 15.0
+    min_matches: int = 20
+    min_keyframe_matches: int = 15
+    min_coarse_inliers: int = 10
+    min_inliers: int = 30
+    min_inliers_recovered: int = 50
+    local_window: float = 5.0
+    pose: PoseOptimizerConfig = field(default_factory=PoseOptimizerConfig)
+
+    def build(self, sieve: MatchSieve) -> "Tracker":
+        """Return a tracker that asks the sieve."""
+        return Tracker(self, sieve)
+
+
+@dataclass(frozen=True)
+class _Fix:
+    """A pose and what agrees with it."""
+
+    T_cam_world: F64
+    point_ids: I32
+    motion: Motion
+    rejected: I32
+
+    @property
+    def n_inliers(self) -> int:
+        return int((self.point_ids >= 0).sum())
+
+
+class Tracker:
+    """Follows the camera from frame to frame. Asked in order, one frame after the other."""
+
+    def __init__(self, config: TrackerConfig, sieve: MatchSieve) -> None:
+        """Start without a past."""
+        self.config, self.sieve = config, sieve
+        self._optimize = config.pose.build()
+        self._velocity = ConstantVelocity()
+        self._last: Tracked | None = None
+        self._T_reference_last: F64 | None = None
+        self._frames_since_recovery = 1 << 30
+
+    def track(self, frame: Frame, semantics: Pending[Semantics], world: Map) -> Tracked:
+        """Return where the frame was taken; its state says whether that is known.
+
+        Args:
+            frame: The frame, after sieve 1.
+            semantics: What may move in it.
+            world: The map.
+        """
+        if len(world.keyframes) == 0:
+            return self._first_frame(frame, semantics, world)
+        last = self._last_as_known_now(world)
+        fix = None
+        if last is not None and self._velocity.is_known:
+            fix = self._with_motion_model(frame, last, semantics, world)
+        if fix is None and last is not None:
+            fix = self._with_reference_keyframe(frame, last, semantics, world)
+        if fix is None or last is None:
+            return _lost(frame, self._reference)
+        return self._with_local_map(frame, fix, last.reference_keyframe, semantics, world)
+
+    def locate(
+        self, frame: Frame, T_cam_world: F64, point_ids: I32, semantics: Pending[Semantics], world: Map
+    ) -> Tracked:
+        """Refine a pose (4, 4) found by other means, with the points (N,) that led to it, against the local map."""
+        motion = Motion.none(len(frame), frame.image.height, frame.image.width)
+        fix = _Fix(T_cam_world, point_ids, motion, np.zeros(0, dtype=np.int32))
+        tracked = self._with_local_map(frame, fix, self._reference, semantics, world)
+        return replace(tracked, recovered=not tracked.lost)
+
+    def remember(self, tracked: Tracked, world: Map) -> None:
+        """Take the outcome of a frame, mapping included, as the past of the next one."""
+        if tracked.T_world_cam is None:
+            self._velocity.forget()
+            self._last, self._T_reference_last = None, None
+            return
+        last = self._last_as_known_now(world)
+        if last is not None and last.T_world_cam is not None:
+            self._velocity.update(last.T_world_cam, tracked.T_world_cam)
+        self._frames_since_recovery = 0 if tracked.recovered else self._frames_since_recovery + 1
+        self._last = tracked
+        self._T_reference_last = se3.inverse(world.keyframe_pose(tracked.reference_keyframe)) @ tracked.T_world_cam
+
+    @property
+    def _reference(self) -> int:
+        return self._last.reference_keyframe if self._last is not None else 0
+
+    def _first_frame(self, frame: Frame, semantics: Pending[Semantics], world: Map) -> Tracked:
+        nothing = np.full(len(frame), -1, dtype=np.int32)
+        motion = self.sieve.judge(Stage.LOCAL_MAP, frame, Matches.of(nothing), semantics, np.eye(4), world)
+        usable = frame.is_static & motion.is_static & (frame.keypoints.depth_m > 0)
+        if usable.sum() < self.config.min_initial_keypoints:
+            return Tracked(frame, TrackingState.NOT_INITIALIZED, None, nothing, motion)
+        return Tracked(frame, TrackingState.OK, np.eye(4), nothing, motion)
+
+    def _last_as_known_now(self, world: Map) -> Tracked | None:
+        """Return the last frame with pose and points moved along with what mapping did to the map since."""
+        if self._last is None or self._T_reference_last is None:
+            return None
+        T_world_last = world.keyframe_pose(self._last.reference_keyframe) @ self._T_reference_last
+        return replace(self._last, T_world_cam=T_world_last, point_ids=world.current_ids(self._last.point_ids))
+
+    def _with_motion_model(self, frame: Frame, last: Tracked, semantics: Pending[Semantics], world: Map) -> _Fix | None:
+        assert last.T_world_cam is not None
+        guess = self._velocity.predict(last.T_world_cam)
+        for widen in (1.0, 2.0):
+            matches = correspondences.with_last_frame(frame, last, guess, world, widen * self.config.window_px)
+            motion = self.sieve.judge(Stage.MOTION_MODEL, frame, matches, semantics, guess, world)
+            matches = matches.keep(motion.is_static[matches.keypoint])
+            if len(matches) >= self.config.min_matches:
+                fix = self._fix(frame, guess, matches, motion, world)
+                return fix if fix.n_inliers >= self.config.min_coarse_inliers else None
+        return None
+
+    def _with_reference_keyframe(
+        self, frame: Frame, last: Tracked, semantics: Pending[Semantics], world: Map
+    ) -> _Fix | None:
+        assert last.T_world_cam is not None
+        keyframe = last.reference_keyframe
+        if not world.keyframes.is_alive[keyframe]:
+            keyframe = int(world.keyframes.parent[keyframe])
+        matches = correspondences.with_keyframe(frame, keyframe, world)
+        guess = se3.inverse(last.T_world_cam)
+        motion = self.sieve.judge(Stage.REFERENCE_KEYFRAME, frame, matches, semantics, guess, world)
+        matches = matches.keep(motion.is_static[matches.keypoint])
+        if len(matches) < self.config.min_keyframe_matches:
+            return None
+        fix = self._fix(frame, guess, matches, motion, world)
+        return fix if fix.n_inliers >= self.config.min_coarse_inliers else None
+
+    def _with_local_map(
+        self, frame: Frame, fix: _Fix, reference: int, semantics: Pending[Semantics], world: Map
+    ) -> Tracked:
+        surroundings = local_map.select(fix.point_ids, reference, world)
+        missing = surroundings.points[~np.isin(surroundings.points, np.append(fix.rejected, fix.point_ids))]
+        found, visible = correspondences.with_points(
+            frame, missing, fix.point_ids < 0, fix.T_cam_world, world, self.config.local_window
+        )
+        point_ids = fix.point_ids.copy()
+        point_ids[found.keypoint] = found.point_id
+        matches = Matches.of(point_ids)
+        motion = self.sieve.judge(Stage.LOCAL_MAP, frame, matches, semantics, fix.T_cam_world, world)
+        matches = matches.keep(motion.is_static[matches.keypoint])
+        refined = self._fix(frame, fix.T_cam_world, matches, motion, world)
+        world.points.n_visible[visible] += 1
+        world.points.n_visible[fix.point_ids[fix.point_ids >= 0]] += 1
+        inliers = refined.point_ids[refined.point_ids >= 0]
+        world.points.n_found[inliers] += 1
+        if len(inliers) < self._inliers_needed():
+            return _lost(frame, surroundings.reference)
+        return Tracked(
+            frame,
+            TrackingState.OK,
+            se3.orthonormalize(se3.inverse(refined.T_cam_world)),
+            refined.point_ids,
+            motion,
+            surroundings.reference,
+        )
+
+    def _inliers_needed(self) -> int:
+        recovering = self._frames_since_recovery < 30
+        return self.config.min_inliers_recovered if recovering else self.config.min_inliers
+
+    def _fix(self, frame: Frame, guess: F64, matches: Matches, motion: Motion, world: Map) -> _Fix:
+        """Optimise the pose over the matches and tell which of them agree with it."""
+        kp = frame.keypoints
+        right_px = kp.right_px[matches.keypoint]
+        estimate = self._optimize(
+            guess,
+            world.points.position_m[matches.point_id],
+            measurements.observed_px(kp.px[matches.keypoint], right_px),
+            measurements.weights(kp.octave[matches.keypoint], right_px, frame.scales.inverse_variances),
+            frame.camera,
+        )
+        point_ids = np.full(len(frame), -1, dtype=np.int32)
+        inlier = estimate.is_inlier
+        point_ids[matches.keypoint[inlier]] = matches.point_id[inlier]
+        return _Fix(estimate.T_cam_world, point_ids, motion, matches.point_id[~inlier])
+
+
+def _lost(frame: Frame, reference: int) -> Tracked:
+    motion = Motion.none(len(frame), frame.image.height, frame.image.width)
+    nothing = np.full(len(frame), -1, dtype=np.int32)
+    return Tracked(frame, TrackingState.LOST, None, nothing, motion, reference)

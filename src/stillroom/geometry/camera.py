@@ -76,6 +76,16 @@ class Camera:
         moved = _undistort_points(points, self.K, np.asarray(self.distortion), R=np.eye(3), P=self.K, criteria=criteria)
         return np.asarray(moved, dtype=np.float32).reshape(-1, 2)
 
+    def distort(self, px: Floats) -> F64:
+        """Move undistorted points (N, 2) to where they lie in the image as taken, (N, 2) [px]."""
+        x, y = ((np.asarray(px, dtype=np.float64) - (self.cx, self.cy)) / (self.fx, self.fy)).T
+        k1, k2, p1, p2, k3 = self.distortion
+        r2 = x * x + y * y
+        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        xd = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
+        yd = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
+        return np.stack((self.fx * xd + self.cx, self.fy * yd + self.cy), axis=1)
+
     @cached_property
     def undistorted_bounds_px(self) -> tuple[float, float, float, float]:
         """The undistorted image's extent (x_min, y_min, x_max, y_max) [px], from its four corners."""

@@ -1,0 +1,100 @@
+"""OC-SLAM's epipolar sieve to the letter (paper 2.2)."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from stillroom.data.frame import Frame
+from stillroom.data.map import Map
+from stillroom.data.matches import Matches
+from stillroom.data.motion import Motion, Stage
+from stillroom.data.semantics import Semantics
+from stillroom.geometry.arrays import F64, Bool
+from stillroom.geometry.epipolar import line_distances_px
+from stillroom.protocols import Pending
+
+_MIN_FOR_F = 15
+
+
+@dataclass(frozen=True)
+class PaperEpipolarConfig:
+    """The paper's rule, for comparison; `epipolar` is the one that works.
+
+    A fundamental matrix from the matches outside the boxes; matches inside them that lie further from their epipolar
+    line than a threshold are removed; off while relocalizing and where too few matches would stay. The paper gives no
+    thresholds, only that the motion model's is the smaller one. Keypoints that match nothing are not judged, so that
+    keyframes make map points of people's.
+
+    Attributes:
+        motion_model_px, keyframe_px: Largest distance from the epipolar line at the two stages.
+        inlier_px: Tolerance of the robust estimate of the matrix.
+        min_matches: The sieve is off where fewer matches than this would stay.
+    """
+
+    motion_model_px: float = 1.0
+    keyframe_px: float = 2.0
+    inlier_px: float = 1.0
+    min_matches: int = 20
+
+    def build(self, seed: int = 0) -> "PaperEpipolarSieve":
+        """Return the sieve; the seed is that of the robust estimate."""
+        return PaperEpipolarSieve(self, seed)
+
+
+class PaperEpipolarSieve:
+    """Sieve 2 by the letter. What a frame's first stage removed stays removed at its later ones."""
+
+    def __init__(self, config: PaperEpipolarConfig, seed: int) -> None:
+        """Prepare the robust estimator."""
+        self.config = config
+        self._usac = cv2.UsacParams()
+        self._usac.randomGeneratorState = seed
+        self._usac.threshold = config.inlier_px
+        self._usac.confidence = 0.99
+        self._usac.score = cv2.SCORE_METHOD_MAGSAC
+        self._usac.sampler = cv2.SAMPLING_UNIFORM
+        self._usac.loMethod = cv2.LOCAL_OPTIM_SIGMA
+        self._judged = -1
+        self._is_static = np.zeros(0, dtype=np.bool_)
+
+    def judge(
+        self,
+        stage: Stage,
+        frame: Frame,
+        matches: Matches,
+        semantics: Pending[Semantics],
+        T_cam_world: F64,
+        world: Map,
+    ) -> Motion:
+        """Judge the matches inside boxes by a fundamental matrix of those outside (Eq. 1–2)."""
+        if stage is Stage.RELOCALIZATION:
+            return Motion.none(len(frame), frame.image.height, frame.image.width)
+        if frame.image.index != self._judged:
+            self._judged, self._is_static = frame.image.index, np.ones(len(frame), dtype=np.bool_)
+        movable = semantics.result()
+        if stage in (Stage.MOTION_MODEL, Stage.REFERENCE_KEYFRAME) and movable.has_any:
+            inside = movable.movable_at(frame.keypoints.raw_px)[matches.keypoint]
+            fails = self._fails(stage, frame, matches, inside)
+            if np.count_nonzero(~fails) >= min(self.config.min_matches, len(matches)):
+                self._is_static[matches.keypoint[fails]] = False
+        return Motion(self._is_static.copy(), movable.movable)
+
+    def _fails(self, stage: Stage, frame: Frame, matches: Matches, inside: Bool) -> Bool:
+        then_px = matches.reference_px.astype(np.float64)
+        now_px = frame.keypoints.px[matches.keypoint].astype(np.float64)
+        if np.count_nonzero(~inside) < _MIN_FOR_F or not inside.any():
+            return np.zeros(len(matches), dtype=np.bool_)
+        F = self._fundamental(then_px[~inside], now_px[~inside])
+        if F is None:
+            return np.zeros(len(matches), dtype=np.bool_)
+        limit_px = self.config.motion_model_px if stage is Stage.MOTION_MODEL else self.config.keyframe_px
+        return inside & (line_distances_px(F, then_px, now_px) > limit_px)
+
+    def _fundamental(self, then_px: F64, now_px: F64) -> F64 | None:
+        """Estimate F (3, 3) from pairs (M, 2); None where they do not determine one."""
+        try:
+            F, _ = cv2.findFundamentalMat(then_px, now_px, self._usac)
+        except cv2.error:  # OpenCV's way of saying that every sample was degenerate.
+            return None
+        return None if F is None or F.shape != (3, 3) else np.asarray(F, dtype=np.float64)

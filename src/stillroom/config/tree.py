@@ -5,9 +5,11 @@ Reading, writing and overriding it lives in `settings`; this page only says what
 
 from dataclasses import dataclass, field
 
+from stillroom.config.kinds import DYNAMICS, SEMANTICS, MatchSieveConfig, SegmenterConfig
 from stillroom.dynamics.keep_all import KeepAllConfig
 from stillroom.features.orb import OrbConfig
 from stillroom.mapping.local_mapper import LocalMapperConfig
+from stillroom.semantics.nothing import NothingConfig
 from stillroom.tracking.keyframe_policy import KeyframePolicyConfig
 from stillroom.tracking.relocalizer import RelocalizerConfig
 from stillroom.tracking.tracker import TrackerConfig
@@ -20,15 +22,17 @@ class SlamConfig:
     Attributes:
         method: Name of the preset that it started from.
         seed: Where every random choice starts.
+        semantics: What may move; `kind` chooses the part (see `kinds`).
+        dynamics: What does move (sieve 2); `kind` chooses the part.
         features: Keypoints.
-        dynamics: What does move (sieve 2).
         tracking, recovery, keyframes, mapping: ORB-SLAM2's parts.
     """
 
     method: str = "orb-slam2"
     seed: int = 0
+    semantics: SegmenterConfig = field(default_factory=NothingConfig, metadata={"kinds": SEMANTICS})
+    dynamics: MatchSieveConfig = field(default_factory=KeepAllConfig, metadata={"kinds": DYNAMICS})
     features: OrbConfig = field(default_factory=OrbConfig)
-    dynamics: KeepAllConfig = field(default_factory=KeepAllConfig)
     tracking: TrackerConfig = field(default_factory=TrackerConfig)
     recovery: RelocalizerConfig = field(default_factory=RelocalizerConfig)
     keyframes: KeyframePolicyConfig = field(default_factory=KeyframePolicyConfig)

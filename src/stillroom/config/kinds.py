@@ -1,0 +1,106 @@
+"""Which parts can stand in a socket of the configuration, and by what names they are called.
+
+A part of your own needs no entry here: `kind = "my_package.my_module:MyConfig"` finds its config class by import.
+"""
+
+import dataclasses
+import importlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from difflib import get_close_matches
+from typing import Any, Protocol
+
+from stillroom.dynamics.epipolar import EpipolarConfig
+from stillroom.dynamics.keep_all import KeepAllConfig
+from stillroom.dynamics.paper_epipolar import PaperEpipolarConfig
+from stillroom.dynamics.whole_boxes import WholeBoxesConfig
+from stillroom.errors import ConfigError
+from stillroom.protocols import MatchSieve, Segmenter
+from stillroom.semantics.mask_files import MaskFilesConfig
+from stillroom.semantics.nothing import NothingConfig
+from stillroom.semantics.truth import TruthConfig
+from stillroom.semantics.yolo_fastest import YoloFastestConfig
+
+KIND = "kind"
+"""The key of a section that chooses the part."""
+
+
+class SegmenterConfig(Protocol):
+    """The config of a part that says what may move; a frozen dataclass."""
+
+    def build(self) -> Segmenter:
+        """Return the segmenter."""
+
+
+class MatchSieveConfig(Protocol):
+    """The config of a part that says what does move; a frozen dataclass."""
+
+    def build(self, seed: int) -> MatchSieve:
+        """Return the sieve; all that it draws by lot comes from the seed."""
+
+
+@dataclass(frozen=True)
+class Kinds:
+    """The parts that fit one section.
+
+    Attributes:
+        section: Name of the section.
+        classes: Config class by kind.
+    """
+
+    section: str
+    classes: Mapping[str, type[Any]]
+
+    def find(self, kind: str) -> type[Any]:
+        """Return the config class of a kind, or of `module:Class`.
+
+        Raises:
+            ConfigError: There is none.
+        """
+        if kind in self.classes:
+            return self.classes[kind]
+        if ":" in kind:
+            return self._imported(kind)
+        guess = get_close_matches(kind, self.classes, n=1, cutoff=0.0)[0]
+        raise ConfigError(
+            f"{self.section}.{KIND} is '{kind}'; did you mean '{guess}'? known: {', '.join(self.classes)}"
+        )
+
+    def name_of(self, config: object) -> str:
+        """Return the kind of a config."""
+        own = type(config)
+        for kind, known in self.classes.items():
+            if known is own:
+                return kind
+        return f"{own.__module__}:{own.__qualname__}"
+
+    def _imported(self, kind: str) -> type[Any]:
+        module, _, name = kind.partition(":")
+        try:
+            found = getattr(importlib.import_module(module), name)
+        except (ImportError, AttributeError, ValueError) as error:
+            raise ConfigError(f"{self.section}.{KIND} is '{kind}', which cannot be imported ({error})") from error
+        if not (isinstance(found, type) and dataclasses.is_dataclass(found) and hasattr(found, "build")):
+            raise ConfigError(f"{self.section}.{KIND} is '{kind}'; it must be a dataclass with a build method")
+        return found
+
+
+SEMANTICS = Kinds(
+    "semantics",
+    {
+        "nothing": NothingConfig,
+        "yolo-fastest": YoloFastestConfig,
+        "mask-files": MaskFilesConfig,
+        "truth": TruthConfig,
+    },
+)
+
+DYNAMICS = Kinds(
+    "dynamics",
+    {
+        "keep-all": KeepAllConfig,
+        "whole-boxes": WholeBoxesConfig,
+        "paper-epipolar": PaperEpipolarConfig,
+        "epipolar": EpipolarConfig,
+    },
+)

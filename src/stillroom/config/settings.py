@@ -1,0 +1,183 @@
+"""Read, write and override a tree of config dataclasses.
+
+A field that is a dataclass is a section. A field whose metadata names `Kinds` is a socket: a section whose key `kind`
+chooses the class, and with it the other keys. Values are bool, int, float, str, tuples of those, or a path.
+"""
+
+import dataclasses
+import tomllib
+import typing
+from collections.abc import Iterable, Mapping
+from difflib import SequenceMatcher
+from pathlib import Path
+from typing import Any, TypeVar
+
+from stillroom.config.kinds import KIND, Kinds
+from stillroom.config.toml_text import as_toml
+from stillroom.config.values import Written, convert
+from stillroom.errors import ConfigError
+
+C = TypeVar("C")
+
+PROVENANCE = "run"
+"""The table of a results folder's config.toml that says how it came about; it configures nothing."""
+
+
+def to_values(config: Any) -> dict[str, Any]:
+    """Return a config as nested mappings, sockets with their `kind`."""
+    values: dict[str, Any] = {}
+    for field in dataclasses.fields(config):
+        value = getattr(config, field.name)
+        if dataclasses.is_dataclass(value):
+            kinds = _kinds(field)
+            chosen = {} if kinds is None else {KIND: kinds.name_of(value)}
+            values[field.name] = chosen | to_values(value)
+        else:
+            values[field.name] = value
+    return values
+
+
+def to_toml(config: Any, provenance: Mapping[str, Any] | None = None) -> str:
+    """Return a config as TOML that `read_toml` and `updated` make the same config of.
+
+    Args:
+        config: The tree.
+        provenance: How it came about; written below, and not read back.
+    """
+    values = to_values(config) | ({PROVENANCE: provenance} if provenance else {})
+    remarks = {
+        f"{field.name}.{KIND}": " | ".join(kinds.classes)
+        for field in dataclasses.fields(config)
+        if (kinds := _kinds(field)) is not None
+    }
+    return as_toml(values, remarks)
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Read a config file as nested mappings for `updated`.
+
+    Raises:
+        ConfigError: The file is missing or no TOML.
+    """
+    try:
+        values = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (FileNotFoundError, IsADirectoryError):
+        raise ConfigError(f"{path}: no such config file") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: cannot be read as text ({error})") from error
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{path}: not a TOML file: {error}") from error
+    values.pop(PROVENANCE, None)
+    return values
+
+
+def updated(config: C, values: Mapping[str, Any], source: str = "") -> C:
+    """Return a config with some values replaced.
+
+    Where a socket's `kind` changes, its other keys start from the new kind's defaults.
+
+    Args:
+        config: The tree.
+        values: Nested mappings.
+        source: Where they come from, such as a file; stands before the message of an error.
+
+    Raises:
+        ConfigError: A key is unknown (the message names the nearest), or a value has the wrong type.
+    """
+    try:
+        changed: C = _updated(config, values, ())
+        return changed
+    except ConfigError as error:
+        raise ConfigError(f"{source}: {error}") from None if source else error
+
+
+def with_overrides(config: C, overrides: Iterable[str]) -> C:
+    """Return a config with `section.key=value` applied; of a key that comes twice, the last counts.
+
+    Values are written as in TOML; text needs no quotes, and a list may be written with commas alone.
+
+    Raises:
+        ConfigError: An override is malformed, its key unknown, or its value of the wrong type.
+    """
+    tree: dict[str, Any] = {}
+    for override in overrides:
+        key, equals, text = override.partition("=")
+        parts = [part.strip() for part in key.split(".")]
+        if not equals or not all(parts):
+            raise ConfigError(f"'{override}' sets nothing; write it like tracking.min_inliers=20")
+        section = tree
+        for part in parts[:-1]:
+            inner = section.setdefault(part, {})
+            if not isinstance(inner, dict):
+                raise ConfigError(f"'{override}': {part} was given a value before, so it has no keys")
+            section = inner
+        section[parts[-1]] = Written(text.strip())
+    return updated(config, tree)
+
+
+def _updated(config: Any, values: Mapping[str, Any], path: tuple[str, ...]) -> Any:
+    fields = {field.name: field for field in dataclasses.fields(config) if field.init}
+    hints = typing.get_type_hints(type(config))
+    changes: dict[str, Any] = {}
+    for key, value in values.items():
+        name = ".".join((*path, key))
+        if key not in fields:
+            raise ConfigError(f"unknown key '{name}'; did you mean '{_nearest(config, name, path)}'?")
+        present = getattr(config, key)
+        if not dataclasses.is_dataclass(present):
+            changes[key] = convert(value, hints[key], name)
+            continue
+        if not isinstance(value, Mapping):
+            raise ConfigError(
+                f"'{name}' is a section; set one of its keys, such as '{_keys(present, (*path, key))[0]}'"
+            )
+        kinds = _kinds(fields[key])
+        if kinds is None:
+            changes[key] = _updated(present, value, (*path, key))
+        else:
+            changes[key] = _plugged(kinds, present, value, (*path, key))
+    return dataclasses.replace(config, **changes)
+
+
+def _plugged(kinds: Kinds, present: Any, values: Mapping[str, Any], path: tuple[str, ...]) -> Any:
+    """Return the config in a socket, of another class where `kind` says so."""
+    if KIND in values:
+        chosen = kinds.find(convert(values[KIND], str, ".".join((*path, KIND))))
+        if chosen is not type(present):
+            present = chosen()
+    own = {key: value for key, value in values.items() if key != KIND}
+    try:
+        return _updated(present, own, path)
+    except ConfigError as error:
+        raise ConfigError(f"{error} (with {'.'.join(path)}.{KIND} = '{kinds.name_of(present)}')") from None
+
+
+def _kinds(field: Any) -> Kinds | None:
+    found: Kinds | None = field.metadata.get("kinds")
+    return found
+
+
+def _keys(config: Any, path: tuple[str, ...]) -> list[str]:
+    """Return the dotted names of all values of a tree."""
+    names = []
+    for field in dataclasses.fields(config):
+        value, own = getattr(config, field.name), (*path, field.name)
+        if dataclasses.is_dataclass(value):
+            if _kinds(field) is not None:
+                names.append(".".join((*own, KIND)))
+            names += _keys(value, own)
+        else:
+            names.append(".".join(own))
+    return names
+
+
+def _nearest(config: Any, wrong: str, path: tuple[str, ...]) -> str:
+    """Return the name most like a wrong one; its last part, without a section, counts as much as the whole."""
+
+    def likeness(name: str) -> float:
+        whole = SequenceMatcher(None, wrong, name).ratio()
+        last = SequenceMatcher(None, wrong.rpartition(".")[2], name.rpartition(".")[2]).ratio()
+        return max(whole, last)
+
+    sections = [".".join((*path, field.name)) for field in dataclasses.fields(config)]
+    return max([*sections, *_keys(config, path)], key=likeness, default=f"{'.'.join(path)}.{KIND}")

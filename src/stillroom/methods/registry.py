@@ -1,0 +1,90 @@
+"""All methods by name: the house's own, and those that installed packages add.
+
+A package adds a method by an entry point of the group `stillroom.methods` that names a `Method`::
+
+    [project.entry-points."stillroom.methods"]
+    my-slam = "my_package.my_slam:METHOD"
+"""
+
+from collections.abc import Iterable
+from dataclasses import replace
+from difflib import get_close_matches
+from importlib.metadata import entry_points
+from pathlib import Path
+
+from stillroom.config import SlamConfig, read_toml, updated, with_overrides
+from stillroom.errors import ConfigError
+from stillroom.methods import oc_slam, orb_slam2
+from stillroom.methods.method import Method
+
+__all__ = ["DEFAULT", "OWN", "Method", "all_methods", "configure", "method"]
+
+GROUP = "stillroom.methods"
+OWN = (orb_slam2.METHOD, oc_slam.METHOD)
+DEFAULT = oc_slam.METHOD.name
+
+
+def all_methods() -> dict[str, Method]:
+    """Return every method by name, the house's own first.
+
+    Raises:
+        ConfigError: An installed package offers as a method what is none, or under a name that is taken.
+    """
+    found = {own.name: own for own in OWN}
+    for entry in entry_points(group=GROUP):
+        origin = f"entry point '{entry.name}' of {entry.dist.name if entry.dist else 'an unknown package'}"
+        try:
+            offered = entry.load()
+        except (ImportError, AttributeError) as error:
+            raise ConfigError(f"{origin}: cannot be imported ({error}); mend or uninstall that package") from error
+        if not isinstance(offered, Method):
+            raise ConfigError(f"{origin}: '{entry.value}' is a {type(offered).__name__}; it must be a Method")
+        if offered.name in found:
+            raise ConfigError(f"{origin}: there is a method '{offered.name}' already; it needs another name")
+        found[offered.name] = offered
+    return found
+
+
+def method(name: str) -> Method:
+    """Return a method.
+
+    Raises:
+        ConfigError: There is none of this name.
+    """
+    known = all_methods()
+    if name not in known:
+        guess = get_close_matches(name.lower(), known, n=1, cutoff=0.0)[0]
+        raise ConfigError(f"no method is called '{name}'; did you mean '{guess}'? known: {', '.join(known)}")
+    return known[name]
+
+
+def configure(
+    name: str | None = None,
+    file: Path | None = None,
+    overrides: Iterable[str] = (),
+    seed: int | None = None,
+) -> SlamConfig:
+    """Return the config that a user asks for: the preset, then the file, then single values, then the seed.
+
+    Args:
+        name: The method; where not given, the file's, else the default.
+        file: A config file, whole or in part.
+        overrides: `section.key=value`.
+        seed: Where every random choice starts.
+
+    Raises:
+        ConfigError: A method, a key or a value is wrong, or the file is of another method than `name`.
+    """
+    values = {} if file is None else read_toml(file)
+    named = values.get("method", name)
+    if name is not None and named != name:
+        raise ConfigError(f"{file}: is of the method '{named}', but '{name}' is asked for; leave one of them out")
+    preset = method(DEFAULT if named is None else str(named))
+    config = with_overrides(updated(preset.config, values, str(file)), overrides)
+    if config.method != preset.name:
+        raise ConfigError(f"method cannot be set to '{config.method}' by --set; choose it with --method")
+    if seed is not None:
+        config = replace(config, seed=seed)
+    if config.seed < 0:
+        raise ConfigError(f"seed is {config.seed}; it must be 0 or more")
+    return config

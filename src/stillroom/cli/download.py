@@ -1,0 +1,70 @@
+"""`stillroom download`: sequences and weights from their own addresses."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, DownloadColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+
+from stillroom.data.locations import data_home, models_home
+from stillroom.download import OFFICIAL
+from stillroom.download import download as fetch_target
+
+INTERRUPTED = 130
+
+
+def download(
+    target: Annotated[str, typer.Argument(metavar="WHAT", help="tum/<name>, bonn/<name> or models.")],
+    to: Annotated[
+        Path | None,
+        typer.Option(
+            "--to",
+            metavar="FOLDER",
+            help="Where to put it; otherwise STILLROOM_DATA or STILLROOM_MODELS, or the cache.",
+        ),
+    ] = None,
+) -> None:
+    """Fetch a data set or the weights of YOLO-Fastest.
+
+    An interrupted download goes on where it broke off; checksums are compared where they are known. Names are those of
+    the data sets, with or without their prefix:
+
+    stillroom download models
+
+    stillroom download bonn/crowd
+
+    stillroom download tum/freiburg3_walking_xyz
+    """
+    console = Console()
+    models = target == "models"
+    folder = to if to is not None else models_home() if models else data_home()
+    try:
+        with _Bars(console) as bars:
+            place = fetch_target(target, folder, bars, OFFICIAL)
+    except KeyboardInterrupt:
+        console.print("stopped; what has come is kept, the same command goes on from there")
+        raise typer.Exit(INTERRUPTED) from None
+    console.print(f"{place}", highlight=False, soft_wrap=True)
+    if not models:
+        console.print(f"next: stillroom run {place} --method oc-slam", highlight=False, soft_wrap=True)
+
+
+class _Bars(Progress):
+    """One bar a file."""
+
+    def __init__(self, console: Console) -> None:
+        super().__init__(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            DownloadColumn(),
+            TimeRemainingColumn(compact=True, elapsed_when_finished=True),
+            console=console,
+        )
+        self._bar_of: dict[str, TaskID] = {}
+
+    def __call__(self, name: str, done_bytes: int, total_bytes: int | None) -> None:
+        """Move the file's bar."""
+        if name not in self._bar_of:
+            self._bar_of[name] = self.add_task(name)
+        self.update(self._bar_of[name], completed=done_bytes, total=total_bytes)

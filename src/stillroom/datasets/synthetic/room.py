@@ -1,0 +1,175 @@
+"""The synthetic room as a data set: any frame from the seed and its number alone."""
+
+import hashlib
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+
+from stillroom.data.image import RgbdImage
+from stillroom.data.semantics import Box, Semantics
+from stillroom.data.trajectory import Trajectory
+from stillroom.datasets.synthetic import sensor
+from stillroom.datasets.synthetic.cache import FrameCache, StoredFrame
+from stillroom.datasets.synthetic.camera_path import CameraPath
+from stillroom.datasets.synthetic.raster import extents_of
+from stillroom.datasets.synthetic.render import Rendering, Scene, render
+from stillroom.datasets.synthetic.scene.atlas import AtlasBuilder
+from stillroom.datasets.synthetic.scene.layout import build_room
+from stillroom.datasets.synthetic.scene.people.choreography import Stage, cast_for
+from stillroom.datasets.synthetic.scene.people.figures import FIRST_OBJECT, build_people
+from stillroom.geometry.arrays import F32, F64, U8, U16, Bool
+from stillroom.geometry.camera import Camera
+
+RENDERER_VERSION = 1
+CAMERA = Camera(640, 480, 525.0, 525.0, 319.5, 239.5, depth_factor=5000.0, bf=40.0)
+SMALLEST_BOX_PX = 150
+
+
+@dataclass(frozen=True)
+class FrameTruth:
+    """What the renderer knows of a frame.
+
+    Attributes:
+        T_world_cam: Exact pose (4, 4).
+        depth_m: Exact depth (H, W) float32 [m] at the pixel centres.
+        instance: What each pixel shows (H, W) uint8: 0 the still room, 1 … figures, 101 … handled objects.
+        moving: Pixels of figures, and of objects while they are handled (H, W).
+    """
+
+    T_world_cam: F64
+    depth_m: F32
+    instance: U8
+    moving: Bool
+
+
+class SyntheticRoom:
+    """A rendered RGB-D sequence; see `stillroom.datasets.synthetic.config` for what can be chosen."""
+
+    def __init__(
+        self,
+        name: str,
+        n_frames: int,
+        fps: float,
+        seed: int,
+        path: str,
+        figures: str,
+        room: str,
+        noise: bool,
+        cache: bool,
+    ) -> None:
+        """Build the scene. All choices are taken to be valid: `SyntheticConfig.build` checks them."""
+        self.name = name
+        self.camera = CAMERA
+        self.camera_source = "the renderer's own pinhole camera: fx = fy = 525, no distortion, exact"
+        self.timestamps_s = np.arange(n_frames) / fps
+        self.scene = _scene(room, figures, seed, stage_for(path))
+        self._path = CameraPath(path, seed, n_frames / fps)
+        self._seed = seed
+        self._noise = sensor.NoiseTables(seed) if noise else None
+        spec = f"{RENDERER_VERSION} {n_frames} {fps!r} {seed} {path} {figures} {room} {noise} {CAMERA}"
+        key = hashlib.sha256(spec.encode()).hexdigest()[:24]
+        self._cache = FrameCache(key) if cache else None
+
+    def __len__(self) -> int:
+        """Number of frames."""
+        return len(self.timestamps_s)
+
+    @cached_property
+    def groundtruth(self) -> Trajectory:
+        """The exact pose of each frame."""
+        return Trajectory(self.timestamps_s, self._path.poses(self.timestamps_s))
+
+    def load(self, index: int) -> RgbdImage:
+        """Return frame `index`, from the cache or rendered.
+
+        Raises:
+            IndexError: There is no such frame.
+        """
+        self._check(index)
+        stored = self._cache.read(index) if self._cache else None
+        if stored is None:
+            stored = self._taken(index)
+            if self._cache:
+                self._cache.keep(index, stored)
+        factor = np.float32(self.camera.depth_factor)
+        depth_m = np.divide(stored.depth_units, factor, dtype=np.float32)
+        time_s = float(self.timestamps_s[index])
+        return RgbdImage(index, time_s, stored.rgb, depth_m, self._semantics(stored.instance, time_s))
+
+    def truth(self, index: int) -> FrameTruth:
+        """Return what the renderer knows of frame `index`.
+
+        Raises:
+            IndexError: There is no such frame.
+        """
+        self._check(index)
+        rendering = self._rendered(index)
+        with np.errstate(divide="ignore"):
+            depth_m = np.where(rendering.inverse_depth > 0, 1.0 / rendering.inverse_depth, 0.0).astype(np.float32)
+        time_s = float(self.timestamps_s[index])
+        moving = self._semantics(rendering.instance, time_s).movable
+        return FrameTruth(self.pose(index), depth_m, rendering.instance, moving)
+
+    def pose(self, index: int) -> F64:
+        """Return the exact `T_world_cam` (4, 4) of frame `index`."""
+        pose: F64 = self._path.poses(self.timestamps_s[index : index + 1])[0]
+        return pose
+
+    def _check(self, index: int) -> None:
+        if not 0 <= index < len(self):
+            raise IndexError(f"{self.name}: frame {index} of {len(self)}")
+
+    def _rendered(self, index: int) -> Rendering:
+        return render(self.scene, self.camera, self.pose(index), float(self.timestamps_s[index]))
+
+    def _taken(self, index: int) -> StoredFrame:
+        """Render frame `index` and let the sensor spoil it."""
+        rendering = self._rendered(index)
+        units: U16 = np.empty(rendering.instance.shape, dtype=np.uint16)
+        if self._noise is None:
+            sensor.clean_units(rendering.inverse_depth, self.camera.depth_factor, units)
+        else:
+            places = self._noise.places(index, self.camera.height, self.camera.width)
+            sensor.add_colour_noise(rendering.rgb, self._noise.colour, places[0])
+            sensor.measured_units(
+                rendering.inverse_depth, self._noise.normal, places[1:], self.camera.depth_factor, units
+            )
+        return StoredFrame(rendering.rgb, units, rendering.instance)
+
+    def _movers(self, time_s: float) -> dict[int, str]:
+        """Return instance and label of all that moves at a moment."""
+        movers = {figure.instance: "person" for figure in self.scene.figures}
+        movers |= {thing.instance: thing.label for thing in self.scene.objects if thing.is_moving(time_s)}
+        return movers
+
+    def _semantics(self, instance: U8, time_s: float) -> Semantics:
+        movers = self._movers(time_s)
+        is_mover = np.zeros(256, dtype=np.bool_)
+        is_mover[list(movers)] = True
+        extents, moving = np.empty((256, 5), dtype=np.int64), np.empty(instance.shape, dtype=np.bool_)
+        extents_of(instance, is_mover, extents, moving)
+        boxes = []
+        for number, label in movers.items():
+            count, left, top, right, bottom = (int(value) for value in extents[number])
+            if count >= SMALLEST_BOX_PX:
+                edges = (float(left), float(top), float(right), float(bottom))
+                boxes.append(Box(*edges, label=label, confidence=1.0, track_id=number))
+        height, width = instance.shape
+        return Semantics(height, width, tuple(boxes), moving)
+
+
+def stage_for(path: str) -> Stage:
+    """Return the floor that figures may take: a smaller one where the camera goes round them."""
+    return Stage(scale=0.6, middle_y_m=0.05) if path == "loop" else Stage()
+
+
+@lru_cache(maxsize=4)
+def _scene(room: str, figures: str, seed: int, stage: Stage) -> Scene:
+    """Build a scene, or take it from a moment ago: it is never changed."""
+    atlas = AtlasBuilder()
+    cast = cast_for(figures, seed, stage)
+    still = build_room(room, seed, cast.tables, atlas)
+    people, objects = build_people(cast, seed, atlas)
+    assert len(people) < FIRST_OBJECT
+    return Scene(atlas.build(), still.patches, people, objects)

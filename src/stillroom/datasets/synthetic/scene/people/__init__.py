@@ -1,0 +1,1 @@
+"""Those who walk about: bodies, clothes, gait, and who goes where."""

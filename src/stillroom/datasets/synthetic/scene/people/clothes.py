@@ -1,0 +1,166 @@
+"""Textures of people: shirts, trousers, skin, faces, shoes. u runs round the body (0.5 is the front), v down."""
+
+import cv2
+import numpy as np
+
+from stillroom.datasets.synthetic.scene import surfaces
+from stillroom.datasets.synthetic.scene.pictures import WORDS, any_colour
+from stillroom.datasets.synthetic.scene.surfaces import Rgb
+from stillroom.geometry.arrays import F32, U8, Bool, Floats
+
+SKINS: tuple[Rgb, ...] = ((226, 178, 150), (196, 142, 110), (140, 94, 68), (238, 196, 172))
+HAIRS: tuple[Rgb, ...] = ((44, 32, 26), (92, 62, 38), (26, 24, 24), (150, 116, 70))
+SHIRTS: tuple[Rgb, ...] = ((46, 66, 116), (150, 52, 50), (96, 100, 84), (196, 192, 184), (60, 120, 110), (206, 168, 70))
+JEANS: tuple[Rgb, ...] = ((58, 76, 118), (46, 50, 66), (96, 88, 76), (74, 96, 140))
+
+
+def folds(rng: np.random.Generator, height: int, width: int, depth: float) -> F32:
+    """Return the light and dark of creases (H, W), around 1, that run mostly across the limb."""
+    values = np.ones((height, width), dtype=np.float32)
+    for cells_down, cells_across, share in ((7, 3, 0.6), (15, 6, 0.45), (4, 9, 0.4)):
+        coarse = rng.standard_normal((cells_down, cells_across)).astype(np.float32)
+        values += depth * share * cv2.resize(coarse, (width, height), interpolation=cv2.INTER_CUBIC)
+    return values
+
+
+def shirt(rng: np.random.Generator, style: str, colour: Rgb, size_px: int = 256) -> U8:
+    """Draw the cloth of a shirt: "plaid", "stripes", "print" or "knit"."""
+    values = folds(rng, size_px, size_px, 0.16) + 0.05 * surfaces.speckle(rng, size_px, size_px, 1, 3)
+    picture = np.empty((size_px, size_px, 3), dtype=np.float32)
+    picture[:] = colour
+    other = np.array(any_colour(rng, 30, 225), dtype=np.float32)
+    if style == "plaid":
+        _plaid(rng, picture, other)
+    elif style == "stripes":
+        step = int(rng.integers(14, 24))
+        for top in range(0, size_px, step):
+            picture[top : top + step // 2] = 0.35 * picture[top : top + step // 2] + 0.65 * other
+    elif style == "knit":
+        rows = 1.0 + 0.12 * np.sin(np.arange(size_px) * 1.6)[:, None] * np.sin(np.arange(size_px) * 0.8)[None, :]
+        picture *= rows[..., None]
+        picture[::19] *= 0.8
+    cloth = np.clip(picture * values[..., None], 0, 255).astype(np.uint8)
+    if style == "print":
+        _print(rng, cloth)
+    return cloth
+
+
+def _plaid(rng: np.random.Generator, picture: F32, other: F32) -> None:
+    size, step = len(picture), int(rng.integers(26, 40))
+    for low in range(0, size, step):
+        wide = step // 3
+        picture[low : low + wide] = 0.55 * picture[low : low + wide] + 0.45 * other
+        picture[:, low : low + wide] = 0.55 * picture[:, low : low + wide] + 0.45 * other
+        picture[low + 2 * wide : low + 2 * wide + 2] *= 0.45
+        picture[:, low + 2 * wide : low + 2 * wide + 2] *= 0.45
+
+
+def _print(rng: np.random.Generator, cloth: U8) -> None:
+    """Put letters and a badge on breast and back."""
+    size = len(cloth)
+    for centre in (size // 2, 0, size):
+        ink = any_colour(rng, 170, 250)
+        cv2.circle(cloth, (centre, int(0.42 * size)), size // 11, ink, 3, cv2.LINE_AA)
+        for _ in range(6):
+            spot = centre + int(rng.integers(-24, 24)), int(0.42 * size) + int(rng.integers(-20, 20))
+            cv2.circle(cloth, spot, int(rng.integers(2, 6)), any_colour(rng), -1, cv2.LINE_AA)
+        for row in range(2):
+            word = str(rng.choice(WORDS)).upper()
+            at = centre - 32, int((0.62 + 0.12 * row) * size)
+            cv2.putText(cloth, word, at, cv2.FONT_HERSHEY_DUPLEX, 0.75, ink, 2, cv2.LINE_AA)
+
+
+def trousers(rng: np.random.Generator, colour: Rgb, width: int = 128, height: int = 256) -> U8:
+    """Draw a leg of jeans: worn thigh, seams, creases at knee and ankle."""
+    values = folds(rng, height, width, 0.13) + 0.06 * surfaces.speckle(rng, height, width, 1, 4)
+    worn = np.exp(-(((np.arange(width) / width - 0.5) / 0.16) ** 2))[None, :]
+    values += (0.22 * worn * np.exp(-(((np.arange(height) / height - 0.3) / 0.28) ** 2))[:, None]).astype(np.float32)
+    for centre, count in ((0.52, 4), (0.93, 6)):
+        for k in range(count):
+            row = int(height * (centre + 0.018 * (k - count / 2)))
+            values[row : row + 2] *= float(rng.uniform(0.75, 0.95))
+    cloth = surfaces.tinted(values, colour)
+    seam = tuple(min(255, c + 55) for c in colour)
+    for u in (0.25, 0.75):
+        x = int(u * width)
+        cloth[:, x : x + 1] = (cloth[:, x : x + 1] * 0.6).astype(np.uint8)
+        cloth[::3, x + 2] = seam
+    return cloth
+
+
+def waist(rng: np.random.Generator, colour: Rgb, size_px: int = 128) -> U8:
+    """Draw the seat of the trousers with belt, pockets and fly."""
+    cloth = surfaces.tinted(folds(rng, size_px, size_px, 0.1) + 0.05 * surfaces.speckle(rng, size_px, size_px), colour)
+    dark = tuple(int(0.6 * c) for c in colour)
+    for u in (0.08, 0.92):
+        x = int(u * size_px)
+        cv2.rectangle(cloth, (x - 9, 50), (x + 9, 82), dark, 1, cv2.LINE_AA)
+    for u, lean in ((0.36, -8), (0.64, 8)):
+        cv2.line(cloth, (int(u * size_px), 30), (int(u * size_px) + lean, 62), dark, 2, cv2.LINE_AA)
+    cv2.line(cloth, (size_px // 2, 26), (size_px // 2, 90), dark, 1)
+    cloth[10:24] = (40, 30, 24)
+    cv2.rectangle(cloth, (size_px // 2 - 6, 10), (size_px // 2 + 6, 23), (190, 180, 140), 2)
+    return cloth
+
+
+def skin(rng: np.random.Generator, colour: Rgb, size_px: int = 64) -> U8:
+    """Draw bare skin."""
+    return surfaces.tinted(1.0 + 0.03 * surfaces.speckle(rng, size_px, size_px, 1, 4), colour)
+
+
+def shoe(rng: np.random.Generator, size_px: int = 64) -> U8:
+    """Draw a shoe: dark upper, laces in front, pale sole."""
+    colour = any_colour(rng, 20, 90)
+    picture = surfaces.tinted(1.0 + 0.1 * surfaces.speckle(rng, size_px, size_px, 1, 3), colour)
+    for row in range(8, int(0.6 * size_px), 7):
+        picture[row : row + 2, int(0.44 * size_px) : int(0.56 * size_px)] = 220
+    picture[int(0.82 * size_px) :] = (205, 202, 196)
+    return picture
+
+
+def head(rng: np.random.Generator, skin_colour: Rgb, hair_colour: Rgb, beard: bool, size_px: int = 256) -> U8:
+    """Draw neck, face and hair, unrolled: v = 0 is the crown, 1 the foot of the neck."""
+    s = size_px
+    picture = surfaces.tinted(1.0 + 0.02 * surfaces.speckle(rng, s, s, 1, 4), skin_colour)
+    hair = surfaces.tinted(1.0 + 0.22 * _strands(rng, s), hair_colour)
+    grown = hair_mask(np.linspace(0, 1, s)[None, :], np.linspace(0, 1, s)[:, None])
+    picture[grown] = hair[grown]
+    shadow = tuple(int(0.66 * c) for c in skin_colour)
+    lip = int(0.78 * skin_colour[0]), int(0.5 * skin_colour[1]), int(0.5 * skin_colour[2])
+    if beard:
+        cv2.ellipse(picture, (s // 2, int(0.69 * s)), (int(0.14 * s), int(0.11 * s)), 0, 0, 360, hair_colour, -1)
+        cv2.ellipse(picture, (s // 2, int(0.63 * s)), (int(0.075 * s), int(0.05 * s)), 0, 0, 360, skin_colour, -1)
+    for side in (-1, 1):
+        x, y = int((0.5 + side * 0.066) * s), int(0.435 * s)
+        cv2.ellipse(picture, (x, y), (int(0.042 * s), int(0.034 * s)), 0, 0, 360, shadow, -1, cv2.LINE_AA)
+        cv2.ellipse(picture, (x, y), (int(0.029 * s), int(0.013 * s)), 0, 0, 360, (240, 238, 232), -1, cv2.LINE_AA)
+        cv2.circle(picture, (x, y), int(0.013 * s), (40, 30, 26), -1, cv2.LINE_AA)
+        brow = (x - int(0.04 * s), y - int(0.042 * s)), (x + int(0.04 * s), y - int(0.048 * s))
+        cv2.line(picture, *brow, hair_colour, max(2, s // 60), cv2.LINE_AA)
+        nostril = int((0.5 + side * 0.016) * s), int(0.563 * s)
+        cv2.circle(picture, nostril, max(2, s // 110), shadow, -1, cv2.LINE_AA)
+        cv2.line(
+            picture,
+            (int((0.5 + side * 0.022) * s), int(0.47 * s)),
+            (int((0.5 + side * 0.03) * s), int(0.56 * s)),
+            shadow,
+            1,
+        )
+    cv2.ellipse(picture, (s // 2, int(0.63 * s)), (int(0.05 * s), int(0.014 * s)), 0, 0, 360, lip, -1, cv2.LINE_AA)
+    cv2.line(picture, (int(0.455 * s), int(0.63 * s)), (int(0.545 * s), int(0.63 * s)), (90, 50, 46), 1, cv2.LINE_AA)
+    picture[int(0.78 * s) :] = (picture[int(0.78 * s) :] * 0.72).astype(np.uint8)  # the chin's shadow
+    return picture
+
+
+def hair_mask(u: Floats, v: Floats) -> Bool:
+    """Tell where on the unrolled head hair grows: above a line that is high over the face and low at the nape."""
+    from_front = np.abs(np.asarray(u) - 0.5) * 2.0
+    line = (
+        0.27 + 0.05 * np.cos(7.0 * from_front) * (from_front < 0.45) + 0.42 * np.clip((from_front - 0.36) / 0.3, 0, 1)
+    )
+    return np.asarray(np.asarray(v) < line, dtype=np.bool_)
+
+
+def _strands(rng: np.random.Generator, size_px: int) -> F32:
+    fine = rng.standard_normal((8, size_px)).astype(np.float32)
+    return np.asarray(cv2.resize(fine, (size_px, size_px), interpolation=cv2.INTER_LINEAR), dtype=np.float32)

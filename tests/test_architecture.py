@@ -30,6 +30,7 @@ LEVELS = {
     "system": 6,
     "methods": 7,
     "pipeline": 8,
+    "warmup": 8,
     "testing": 8,
     "cli": 9,
 }

@@ -93,7 +93,8 @@ def _unpacked(content: bytes) -> StoredFrame | None:
     rgb = np.frombuffer(body, np.uint8, 3 * pixels).reshape(height, width, 3)
     depth_units = np.frombuffer(body, np.uint16, pixels, 3 * pixels).reshape(height, width)
     instance = np.frombuffer(body, np.uint8, pixels, 5 * pixels).reshape(height, width)
-    return StoredFrame(rgb.copy(), depth_units, instance)
+    # Copies, so that the arrays can be written to, as those just rendered: kernels are compiled for one kind only.
+    return StoredFrame(rgb.copy(), depth_units, instance.copy())
 
 
 def _make_room(folder: Path, budget_bytes: int) -> None:

@@ -1,0 +1,56 @@
+"""`stillroom warmup`, and the progress line that other commands show when kernels are not compiled yet."""
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from stillroom.errors import WeightsError
+from stillroom.semantics.yolo_fastest import YoloFastestConfig
+from stillroom.warmup import WarmUp, is_warm, kernel_cache, warm_up
+
+
+def warmup() -> None:
+    """Compile all kernels now, so that the first run starts at once.
+
+    Takes a minute or two, once: the machine code is kept in the user's cache. YOLO-Fastest is made ready too where its
+    weights are at hand.
+    """
+    console = Console()
+    done = with_progress(console, renderer=True)
+    origin = f"{done.n_compiled} of them compiled" if done.n_compiled else "all from the cache"
+    console.print(f"{done.n_kernels} kernels ready in {done.seconds:.1f} s, {origin}", highlight=False)
+    place = kernel_cache() or "beside the sources, in __pycache__"
+    console.print(f"kept in {place}", highlight=False, soft_wrap=True)
+    console.print(_detector(), highlight=False, soft_wrap=True)
+
+
+def ensure_warm(console: Console, renderer: bool = False) -> None:
+    """Compile the kernels, with a progress line, unless this machine has done so before.
+
+    Args:
+        console: Where the line is shown.
+        renderer: Whether the synthetic room's kernels will be needed too.
+    """
+    if not is_warm(renderer):
+        with_progress(console, renderer)
+
+
+def with_progress(console: Console, renderer: bool) -> WarmUp:
+    """Compile or load the kernels and show how far it is."""
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    if not console.is_terminal:
+        console.print("compiling kernels, once for this machine: a minute or two …")
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task("loading kernels", total=None)
+
+        def show(kernel: str, done: int, total: int) -> None:
+            bar.update(task, description=f"compiling kernels (once) {kernel}", completed=done, total=total)
+
+        return warm_up(show, renderer)
+
+
+def _detector() -> str:
+    try:
+        YoloFastestConfig().build()
+    except WeightsError as error:
+        return str(error)
+    return "YOLO-Fastest is ready"

@@ -1,0 +1,132 @@
+"""Warming up: what is compiled, where it is kept, and that a run then compiles nothing."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+from numba.core import event
+from typer.testing import CliRunner
+
+from stillroom import __version__
+from stillroom.cli import warmup as command
+from stillroom.datasets.open import open_dataset
+from stillroom.datasets.selection import select
+from stillroom.methods.registry import method
+from stillroom.semantics.nothing import NothingConfig
+from stillroom.semantics.truth import TruthConfig
+from stillroom.system import build
+from stillroom.warmup import is_warm, kernels, warm_up
+
+ONE_KERNEL = """
+import numpy as np
+from stillroom.features.grid import _sort_into_cells as kernel
+kernel(np.zeros((3, 2), np.float32), np.zeros(2, np.float32), np.array([4, 4], np.int32))
+print(sum(kernel.stats.cache_hits.values()), sum(kernel.stats.cache_misses.values()), kernel.stats.cache_path)
+"""
+COLD = """
+from stillroom.warmup import kernels, warm_up
+done = warm_up(renderer=True)
+inlined = {name for name, kernel in kernels().items() if kernel.targetoptions.get("inline") == "always"}
+never = {name for name, kernel in kernels().items() if not kernel.signatures} - inlined
+print(done.n_compiled, done.n_kernels - len(inlined), *sorted(never))
+"""
+
+
+class Compilations(event.Listener):
+    """Notes which of the package's kernels numba compiles."""
+
+    def __init__(self) -> None:
+        self.names: list[str] = []
+
+    def on_start(self, started: Any) -> None:
+        function = started.data["dispatcher"].py_func
+        if function.__module__.startswith("stillroom"):
+            self.names.append(f"{function.__module__}.{function.__name__}")
+
+    def on_end(self, ended: Any) -> None:
+        pass
+
+
+def answer(code: str, **variables: str) -> list[str]:
+    """Run code in a Python of its own and return the words that it prints."""
+    environment = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"} | variables
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    return done.stdout.split()
+
+
+def test_kernels_are_kept_in_the_users_cache(tmp_path: Path) -> None:
+    first = answer(ONE_KERNEL, XDG_CACHE_HOME=str(tmp_path))
+    assert first[:2] == ["0", "1"]
+    home = tmp_path / "stillroom" / "numba" / __version__
+    assert Path(first[2]).parent == home
+    assert list(home.rglob("*.nbc"))
+    second = answer(ONE_KERNEL, XDG_CACHE_HOME=str(tmp_path))
+    assert second[:2] == ["1", "0"]
+
+
+def test_a_cache_folder_of_the_users_own_is_kept_to(tmp_path: Path) -> None:
+    place = answer(ONE_KERNEL, XDG_CACHE_HOME=str(tmp_path / "cache"), NUMBA_CACHE_DIR=str(tmp_path / "own"))[2]
+    assert Path(place).parent == tmp_path / "own"
+    assert not (tmp_path / "cache").exists()
+
+
+def test_a_relative_cache_home_is_ignored_as_the_xdg_rule_says() -> None:
+    code = "import stillroom, os; print(os.environ['NUMBA_CACHE_DIR'])"
+    assert Path(answer(code, XDG_CACHE_HOME="cache", HOME="/home/of/someone")[0]).is_relative_to("/home/of/someone")
+
+
+def test_after_it_a_run_compiles_nothing() -> None:
+    warm_up(renderer=True)
+    sequence = select(open_dataset("synthetic:walking,frames=90"), "0:60:3")
+    seen = Compilations()
+    with event.install_listener("numba:compile", seen):
+        # The renderer's boxes, so that no weights are needed.
+        for name, segmenter in (("orb-slam2", NothingConfig().build()), ("oc-slam", TruthConfig().build())):
+            slam = build(method(name).config, sequence.camera, segmenter)
+            for index in range(len(sequence)):
+                slam.process(sequence.load(index))
+    assert seen.names == []
+
+
+def test_it_reports_each_kernel_and_ends_full(tmp_path: Path) -> None:
+    steps: list[tuple[str, int, int]] = []
+    done = warm_up(lambda *step: steps.append(step))
+    assert steps[-1] == ("", done.n_kernels, done.n_kernels)
+    assert done.n_kernels == len(kernels()) > 20
+    assert {name for name, _, _ in steps[:-1]} <= set(kernels())
+    assert is_warm()
+
+
+def test_the_stamp_is_of_these_sources(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("numba.config.CACHE_DIR", str(tmp_path))
+    assert not is_warm()
+    assert not is_warm(renderer=True)
+    warm_up()
+    assert is_warm()
+    assert not is_warm(renderer=True)
+    monkeypatch.setattr("numba.__version__", "0")
+    assert not is_warm()
+
+
+def test_the_command_says_where_the_cache_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(command, "_detector", lambda: "the detector's line")
+    app = typer.Typer()
+    app.command()(command.warmup)
+    result = CliRunner().invoke(app)
+    assert result.exit_code == 0, result.output
+    lines = result.output.splitlines()
+    assert "kernels ready in" in lines[-3]
+    assert lines[-2] == f"kept in {os.environ['NUMBA_CACHE_DIR']}"
+    assert lines[-1] == "the detector's line"
+
+
+@pytest.mark.slow
+def test_from_nothing_it_compiles_every_kernel(tmp_path: Path) -> None:
+    compiled, expected, *never = answer(COLD, XDG_CACHE_HOME=str(tmp_path))
+    assert never == []
+    assert compiled == expected
+    assert answer(COLD, XDG_CACHE_HOME=str(tmp_path))[0] == "0"

@@ -4,14 +4,14 @@ from collections import deque
 from dataclasses import dataclass, field
 
 import numpy as np
+from numba import njit
 
 from stillroom.data.frame import Frame
-from stillroom.geometry import se3
 from stillroom.geometry.arrays import F32, F64, I64
 from stillroom.geometry.camera import Camera
 
-_STRIDE = 4
-_NEIGHBOURS = [(dx, dy) for dy in (-1, 0, 1) for dx in (-1, 0, 1)]
+STRIDE = 4
+"""Every fourth pixel of a depth image is remembered."""
 
 
 @dataclass(frozen=True)
@@ -28,8 +28,8 @@ class DepthHistoryConfig:
 
     interval_s: float = 0.25
     ages_s: tuple[float, ...] = (0.3, 0.6, 1.2, 2.4, 4.8, 9.6)
-    tolerance_m: float = 0.06
-    tolerance_share: float = 0.03
+    tolerance_m: float = 0.08
+    tolerance_share: float = 0.04
 
 
 @dataclass(frozen=True)
@@ -66,21 +66,25 @@ class DepthHistory:
         stamp = frame.timestamp_s
         if self._images and stamp - self._images[-1].timestamp_s < self.config.interval_s:
             return
-        small = frame.image.depth_m[::_STRIDE, ::_STRIDE].copy()
+        small = frame.image.depth_m[::STRIDE, ::STRIDE].copy()
         self._images.append(_Remembered(stamp, T_cam_world.copy(), small))
 
     def evidence(self, camera: Camera, points_world_m: F64, now_s: float) -> Evidence:
         """Ask earlier images about points (N, 3) [m, world]."""
         agrees = np.zeros(len(points_world_m), dtype=np.int64)
         empty = np.zeros(len(points_world_m), dtype=np.int64)
+        intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion])
         for image in self._asked(now_s):
-            expected_m, seen_m = self._look_up(image, camera, points_world_m)
-            tolerance_m = np.maximum(self.config.tolerance_m, self.config.tolerance_share * expected_m)
-            known = seen_m > 0
-            there = known & (np.abs(seen_m - expected_m) <= tolerance_m)
-            behind = known & (seen_m > expected_m + tolerance_m)
-            agrees += there.any(axis=0)
-            empty += behind.any(axis=0) & ~there.any(axis=0) & ~(known & ~behind).any(axis=0)
+            ask(
+                image.depth_m,
+                image.T_cam_world,
+                intrinsics,
+                points_world_m,
+                self.config.tolerance_m,
+                self.config.tolerance_share,
+                agrees,
+                empty,
+            )
         return Evidence(agrees, empty)
 
     def _asked(self, now_s: float) -> list[_Remembered]:
@@ -91,16 +95,57 @@ class DepthHistory:
         wanted = {int(np.argmin(np.abs(ages_s - age))) for age in self.config.ages_s}
         return [self._images[i] for i in sorted(wanted) if ages_s[i] >= self.config.interval_s / 2]
 
-    def _look_up(self, image: _Remembered, camera: Camera, points_world_m: F64) -> tuple[F64, F64]:
-        """Return expected depth (N,) and the depths seen around there (9, N); 0 where nothing is known."""
-        points_cam = se3.transform(image.T_cam_world, points_world_m)
-        expected_m = points_cam[:, 2].copy()
-        ahead = expected_m > 0.1
-        points_cam[~ahead] = (0.0, 0.0, 1.0)
-        raw_px = camera.distort(camera.project(points_cam))
-        column, row = np.rint(raw_px / _STRIDE).astype(np.int64).T
-        height, width = image.depth_m.shape
-        inside = ahead & (column >= 1) & (row >= 1) & (column < width - 1) & (row < height - 1)
-        column, row = np.where(inside, column, 1), np.where(inside, row, 1)
-        seen_m = np.stack([image.depth_m[row + dy, column + dx] for dx, dy in _NEIGHBOURS])
-        return expected_m, np.where(inside, seen_m, 0.0).astype(np.float64)
+
+@njit(nogil=True, cache=True)
+def ask(
+    depth_m: F32,
+    T_cam_world: F64,
+    intrinsics: F64,
+    points_world_m: F64,
+    tolerance_m: float,
+    tolerance_share: float,
+    agrees: I64,
+    empty: I64,
+) -> None:
+    """Add what one small depth image (h, w) says of points (N, 3) to `agrees` and `empty` (N,).
+
+    The pixel and its eight neighbours are asked: one that agrees is enough, and all that know must lie behind.
+
+    Args:
+        depth_m: Every `STRIDE`-th pixel of an image as taken; 0 where unknown.
+        T_cam_world: Its pose (4, 4).
+        intrinsics: fx fy cx cy k1 k2 p1 p2 k3 (9,).
+        points_world_m: The points.
+        tolerance_m, tolerance_share: See `DepthHistoryConfig`.
+        agrees, empty: Counters.
+    """
+    fx, fy, cx, cy, k1, k2, p1, p2, k3 = intrinsics
+    T = T_cam_world
+    for i in range(len(points_world_m)):
+        X, Y, Z = points_world_m[i]
+        z = T[2, 0] * X + T[2, 1] * Y + T[2, 2] * Z + T[2, 3]
+        if z <= 0.1:
+            continue
+        x = (T[0, 0] * X + T[0, 1] * Y + T[0, 2] * Z + T[0, 3]) / z
+        y = (T[1, 0] * X + T[1, 1] * Y + T[1, 2] * Z + T[1, 3]) / z
+        r2 = x * x + y * y
+        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        u = fx * (x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)) + cx
+        v = fy * (y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y) + cy
+        if not (u >= STRIDE and v >= STRIDE and u < STRIDE * 10000 and v < STRIDE * 10000):
+            continue
+        column, row = int(u / STRIDE + 0.5), int(v / STRIDE + 0.5)
+        if row >= depth_m.shape[0] - 1 or column >= depth_m.shape[1] - 1:
+            continue
+        tolerance = max(tolerance_m, tolerance_share * z)
+        n_known, n_behind, there = 0, 0, False
+        for dy in range(-1, 2):
+            for dx in range(-1, 2):
+                seen = depth_m[row + dy, column + dx]
+                if seen <= 0.0:
+                    continue
+                n_known += 1
+                there = there or abs(seen - z) <= tolerance
+                n_behind += seen > z + tolerance
+        agrees[i] += there
+        empty[i] += n_known > 0 and n_behind == n_known

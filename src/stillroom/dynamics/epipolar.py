@@ -38,7 +38,7 @@ class EpipolarConfig:
     keyframe_px: float = 4.0
     local_map_px: float = 3.0
     min_matches: int = 20
-    min_agreeing: int = 2
+    min_agreeing: int = 1
     history: DepthHistoryConfig = field(default_factory=DepthHistoryConfig)
 
     def build(self, seed: int = 0) -> "EpipolarSieve":
@@ -97,16 +97,12 @@ class EpipolarSieve:
 
     def _is_off_its_line(self, stage: Stage, frame: Frame, matches: Matches, T_cam_world: F64, world: Map) -> Bool:
         """Tell which matches (M,) lie too far from the epipolar line of where their point was first seen."""
-        distance_px = np.zeros(len(matches))
         place, rows = world.observations(matches.point_id)
         oldest = rows[np.flatnonzero(np.diff(place, append=len(matches)))]
-        keyframe = world.keypoints.keyframe[oldest]
-        for first in np.unique(keyframe):
-            own = keyframe == first
-            T_cam_first = T_cam_world @ world.keyframes.T_world_cam[first]
-            F = fundamental_from_motion(T_cam_first, frame.camera.K)
-            first_px = world.keypoints.px[oldest[own]].astype(np.float64)
-            now_px = frame.keypoints.px[matches.keypoint[own]].astype(np.float64)
-            distance_px[own] = line_distances_px(F, first_px, now_px)
+        keyframe, which = np.unique(world.keypoints.keyframe[oldest], return_inverse=True)
+        F = fundamental_from_motion(T_cam_world @ world.keyframes.T_world_cam[keyframe], frame.camera.K)
+        first_px = world.keypoints.px[oldest].astype(np.float64)
+        now_px = frame.keypoints.px[matches.keypoint].astype(np.float64)
+        distance_px = line_distances_px(F[which], first_px, now_px)
         scale = frame.scales.factors[frame.keypoints.octave[matches.keypoint]]
         return np.asarray(distance_px > self.config.threshold_px(stage) * scale)

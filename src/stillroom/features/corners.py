@@ -1,11 +1,14 @@
 """FAST corners, spread evenly over every level of the pyramid."""
 
 from dataclasses import dataclass
+from operator import attrgetter
 
 import cv2
 import numpy as np
 
 from stillroom.geometry.arrays import F32, I32, I64, U8, Floats
+
+_response = attrgetter("response")
 
 
 @dataclass(frozen=True)
@@ -31,7 +34,7 @@ def detect(levels: list[U8], threshold: int, border_px: int) -> Corners:
         inner = image[border_px - 3 : image.shape[0] - border_px + 3, border_px - 3 : image.shape[1] - border_px + 3]
         found = fast.detect(inner) if min(inner.shape) > 6 else ()
         px.append(np.asarray(cv2.KeyPoint.convert(found), dtype=np.float32).reshape(-1, 2) + (border_px - 3))
-        score.append(np.fromiter((corner.response for corner in found), np.float32, len(found)))
+        score.append(np.fromiter(map(_response, found), np.float32, len(found)))
         level.append(np.full(len(found), number, dtype=np.int32))
     return Corners(np.concatenate(px).astype(np.float32), np.concatenate(score), np.concatenate(level))
 

@@ -20,6 +20,9 @@ def from_rotation_translation(R_a_b: Floats, t_a_b_m: Floats) -> F64:
 
 def inverse(T_a_b: Floats) -> F64:
     """Return `T_b_a` (..., 4, 4) of rigid motions `T_a_b` (..., 4, 4), using that the rotation is orthogonal."""
+    if T_a_b.ndim == 2:  # One motion, the common case, without the machinery for many.
+        R, t = T_a_b[:3, :3], T_a_b[:3, 3]
+        return from_rotation_translation(R.T, -(R.T @ t))
     T_b_a = np.zeros_like(T_a_b, dtype=np.float64)
     R_b_a = np.swapaxes(T_a_b[..., :3, :3], -1, -2)
     T_b_a[..., :3, :3] = R_b_a

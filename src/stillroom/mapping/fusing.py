@@ -30,8 +30,7 @@ def fuse_neighbourhood(keyframe: int, camera: Camera, world: Map) -> None:
     for neighbour in neighbours:
         own = world.points_of(keyframe)
         fuse(own[own >= 0], neighbour, camera, world)
-    seen = np.concatenate([world.points_of(neighbour) for neighbour in neighbours] or [np.zeros(0, np.int32)])
-    fuse(np.unique(seen[seen >= 0]), keyframe, camera, world)
+    fuse(world.points_seen_by(np.array(neighbours)), keyframe, camera, world)
     own = world.points_of(keyframe)
     world.refresh(own[own >= 0])
     world.connect(keyframe)
@@ -44,8 +43,10 @@ def fuse(point_ids: I32, keyframe: int, camera: Camera, world: Map) -> None:
     """
     rows = world.rows(keyframe)
     table, points = world.keypoints, world.points
+    is_seen = np.zeros(len(points), dtype=np.bool_)
     own = world.points_of(keyframe)
-    ids = point_ids[~np.isin(point_ids, own[own >= 0])]
+    is_seen[own[own >= 0]] = True
+    ids = point_ids[~is_seen[point_ids] & points.is_alive[point_ids]]
     projection = project_points(
         se3.inverse(world.keyframes.T_world_cam[keyframe]),
         camera,

@@ -16,8 +16,7 @@ def adjust_locally(keyframe: int, max_keyframes: int, camera: Camera, adjust: Bu
     """
     table, points, keyframes = world.keypoints, world.points, world.keyframes
     free = [keyframe, *world.covisibility.neighbours(keyframe, max_keyframes - 1)]
-    seen = np.concatenate([world.points_of(k) for k in free])
-    point_ids = np.unique(seen[seen >= 0])
+    point_ids = world.points_seen_by(np.array(free))
     place, rows = world.observations(point_ids)
     involved, obs_keyframe = np.unique(table.keyframe[rows], return_inverse=True)
     is_fixed = ~np.isin(involved, free) | (involved == 0)

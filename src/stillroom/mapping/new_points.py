@@ -149,5 +149,5 @@ def _scale_agrees(positions_m: F64, first: I64, second: I64, world: Map) -> Bool
     ratio_of_levels = factors[table.octave[first]] / factors[table.octave[second]]
     slack = 1.5 * world.scales.factor
     with np.errstate(divide="ignore", invalid="ignore"):
-        quotient = (far / near) * ratio_of_levels
+        quotient = (far / near) / ratio_of_levels
     return np.asarray((near > 0) & (far > 0) & (quotient < slack) & (quotient > 1.0 / slack))

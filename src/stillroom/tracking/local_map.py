@@ -48,13 +48,4 @@ def select(point_ids: I32, fallback: int, world: Map) -> LocalMap:
             if neighbour not in chosen:
                 chosen[neighbour] = None
                 break
-    return LocalMap(int(voters[0]), tuple(chosen), points_seen_by(tuple(chosen), world))
-
-
-def points_seen_by(keyframes: tuple[int, ...], world: Map) -> I32:
-    """Return the points (P,) int32 that any of the keyframes sees, in order of id."""
-    is_seen = np.zeros(len(world.points), dtype=np.bool_)
-    for keyframe in keyframes:
-        points = world.points_of(keyframe)
-        is_seen[points[points >= 0]] = True
-    return np.flatnonzero(is_seen).astype(np.int32)
+    return LocalMap(int(voters[0]), tuple(chosen), world.points_seen_by(np.array(list(chosen))))

@@ -169,7 +169,10 @@ class Tracker:
         self, frame: Frame, fix: _Fix, reference: int, semantics: Pending[Semantics], world: Map
     ) -> Tracked:
         surroundings = local_map.select(fix.point_ids, reference, world)
-        missing = surroundings.points[~np.isin(surroundings.points, np.append(fix.rejected, fix.point_ids))]
+        is_known = np.zeros(len(world.points), dtype=np.bool_)
+        is_known[fix.rejected] = True
+        is_known[fix.point_ids[fix.point_ids >= 0]] = True
+        missing = surroundings.points[~is_known[surroundings.points]]
         found, visible = correspondences.with_points(
             frame, missing, fix.point_ids < 0, fix.T_cam_world, world, self.config.local_window
         )
@@ -184,7 +187,7 @@ class Tracker:
         inliers = refined.point_ids[refined.point_ids >= 0]
         world.points.n_found[inliers] += 1
         if len(inliers) < self._inliers_needed():
-            return _lost(frame, surroundings.reference)
+            return _lost(frame, surroundings.reference, motion)
         return Tracked(
             frame,
             TrackingState.OK,
@@ -215,7 +218,7 @@ class Tracker:
         return _Fix(estimate.T_cam_world, point_ids, motion, matches.point_id[~inlier])
 
 
-def _lost(frame: Frame, reference: int) -> Tracked:
-    motion = Motion.none(len(frame), frame.image.height, frame.image.width)
+def _lost(frame: Frame, reference: int, motion: Motion | None = None) -> Tracked:
+    motion = motion or Motion.none(len(frame), frame.image.height, frame.image.width)
     nothing = np.full(len(frame), -1, dtype=np.int32)
     return Tracked(frame, TrackingState.LOST, None, nothing, motion, reference)

@@ -12,6 +12,7 @@ class Covisibility:
         """Start empty; edges weaker than `min_weight` are left out unless a keyframe would have none."""
         self.min_weight = min_weight
         self._weights: dict[int, dict[int, int]] = {}
+        self._ordered: dict[int, list[int]] = {}
 
     def connect(self, keyframe: int, counts: I32) -> None:
         """Replace the edges of a keyframe.
@@ -27,20 +28,26 @@ class Covisibility:
             strong = np.array([int(np.argmax(counts))])
         for other in self._weights.get(keyframe, {}):
             self._weights[other].pop(keyframe, None)
+            self._ordered.pop(other, None)
+        self._ordered.pop(keyframe, None)
         self._weights[keyframe] = {int(other): int(counts[other]) for other in strong}
         for other, weight in self._weights[keyframe].items():
             self._weights.setdefault(other, {})[keyframe] = weight
+            self._ordered.pop(other, None)
 
     def remove(self, keyframe: int) -> None:
         """Forget a keyframe."""
+        self._ordered.pop(keyframe, None)
         for other in self._weights.pop(keyframe, {}):
             self._weights[other].pop(keyframe, None)
+            self._ordered.pop(other, None)
 
     def neighbours(self, keyframe: int, at_most: int | None = None) -> list[int]:
         """Return connected keyframes, strongest first; of equal ones the newest first."""
-        edges = self._weights.get(keyframe, {})
-        ordered = sorted(edges, key=lambda other: (-edges[other], -other))
-        return ordered if at_most is None else ordered[:at_most]
+        if keyframe not in self._ordered:
+            edges = self._weights.get(keyframe, {})
+            self._ordered[keyframe] = sorted(edges, key=lambda other: (-edges[other], -other))
+        return self._ordered[keyframe][:at_most]
 
     def weight(self, first: int, second: int) -> int:
         """Return how many points two keyframes share, 0 when not connected."""

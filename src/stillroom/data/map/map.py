@@ -78,6 +78,15 @@ class Map:
         """Return the point that each keypoint of a keyframe sees (N,), −1 for none."""
         return self.keypoints.point[self.rows(keyframe)]
 
+    def points_seen_by(self, keyframes: Ints) -> I32:
+        """Return the points (P,) that any of the keyframes (K,) sees, in order of id."""
+        is_seen = np.zeros(len(self.points), dtype=np.bool_)
+        table = self.keyframes
+        links.mark_seen(
+            np.asarray(keyframes, dtype=np.int64), table.first_row, table.n_rows, self.keypoints.point, is_seen
+        )
+        return np.flatnonzero(is_seen).astype(np.int32)
+
     def alive_keyframes(self) -> I64:
         """Return the ids of the keyframes that were not culled, oldest first."""
         return np.flatnonzero(self.keyframes.is_alive)

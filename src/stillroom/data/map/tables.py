@@ -28,8 +28,7 @@ class Column(Generic[D]):
         """Return the rows in use."""
         if table is None:
             return self
-        view: NDArray[D] = table.buffers[self.name][: len(table)]
-        return view
+        return table.views[self.name]
 
 
 class Table:
@@ -42,8 +41,10 @@ class Table:
         self.buffers: dict[str, NDArray[Any]] = {
             column.name: np.full((capacity, *column.tail), column.fill, dtype=column.dtype) for column in self.columns
         }
+        self.views: dict[str, NDArray[Any]] = {}
         self._length = 0
         self._capacity = capacity
+        self._look_again()
 
     def __len__(self) -> int:
         """Rows in use."""
@@ -56,7 +57,12 @@ class Table:
         self._length = stop
         for name, value in values.items():
             self.buffers[name][start:stop] = value
+        self._look_again()
         return slice(start, stop)
+
+    def _look_again(self) -> None:
+        """Cut the views once for all readings until the next growth: columns are read some hundred times a frame."""
+        self.views = {name: buffer[: self._length] for name, buffer in self.buffers.items()}
 
     def _reserve(self, n_rows: int) -> None:
         if n_rows <= self._capacity:

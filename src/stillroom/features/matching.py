@@ -258,7 +258,8 @@ def consistent_rotation(first_rad: Floats, second_rad: Floats) -> Bool:
     if len(first_rad) == 0:
         return np.zeros(0, dtype=np.bool_)
     turn = np.mod(np.asarray(first_rad) - np.asarray(second_rad), 2.0 * np.pi)
-    bins: Ints = np.minimum((turn * (_HISTOGRAM_BINS / (2.0 * np.pi))).astype(np.int64), _HISTOGRAM_BINS - 1)
+    # Rounded, so that the middle of a bin and not a border lies on no turn at all, the most common of all.
+    bins: Ints = np.rint(turn * (_HISTOGRAM_BINS / (2.0 * np.pi))).astype(np.int64) % _HISTOGRAM_BINS
     counts = np.bincount(bins, minlength=_HISTOGRAM_BINS)
     best = np.argsort(-counts, kind="stable")[:3]
     chosen = best[counts[best] >= max(1.0, 0.1 * counts[best[0]])]

@@ -1,0 +1,107 @@
+"""Orientation and descriptor kernels against the same written plainly, and orientation against OpenCV."""
+
+import cv2
+import numpy as np
+import pytest
+
+from stillroom.features.describe import (
+    BORDER_PX,
+    N_TURNS,
+    PATCH_RADIUS_PX,
+    describe,
+    orientations,
+    patch_half_widths,
+    turned_offsets,
+)
+
+RNG = np.random.default_rng(5)
+IMAGE = cv2.GaussianBlur(RNG.integers(0, 256, (121, 160), dtype=np.uint8), (0, 0), 1.5)
+PX = np.stack((RNG.integers(BORDER_PX, 160 - BORDER_PX, 80), RNG.integers(BORDER_PX, 121 - BORDER_PX, 80)), axis=1)
+PX[:4] = [[19, 19], [140, 19], [19, 101], [140, 101]]  # as near to the edges as a corner may be
+PATTERN = RNG.integers(-13, 14, (256, 4)).astype(np.int32)
+
+
+def disc_by_numpy() -> np.ndarray:
+    """Which places (31, 31) belong to the disc."""
+    widths, rows = patch_half_widths(), np.abs(np.arange(-PATCH_RADIUS_PX, PATCH_RADIUS_PX + 1))
+    return rows[None, :] <= widths[rows][:, None]
+
+
+def angles_by_numpy(image: np.ndarray, px: np.ndarray) -> np.ndarray:
+    dy, dx = np.mgrid[-PATCH_RADIUS_PX : PATCH_RADIUS_PX + 1, -PATCH_RADIUS_PX : PATCH_RADIUS_PX + 1]
+    angles = []
+    for x, y in px:
+        patch = image[y - PATCH_RADIUS_PX : y + PATCH_RADIUS_PX + 1, x - PATCH_RADIUS_PX : x + PATCH_RADIUS_PX + 1]
+        weight = patch.astype(np.int64) * disc_by_numpy()
+        angles.append(np.arctan2((dy * weight).sum(), (dx * weight).sum()))
+    return np.array(angles)
+
+
+def own_angles(image: np.ndarray, px: np.ndarray) -> np.ndarray:
+    angle_rad = np.zeros(len(px), np.float32)
+    orientations(image, px.astype(np.float32), patch_half_widths(), angle_rad)
+    return angle_rad
+
+
+def test_the_disc_is_round_and_the_same_when_turned_by_a_quarter() -> None:
+    disc = disc_by_numpy()
+    np.testing.assert_array_equal(disc, disc.T)
+    area = np.pi * (PATCH_RADIUS_PX + 0.5) ** 2
+    assert abs(disc.sum() - area) < 0.05 * area
+
+
+def test_orientation_is_the_direction_of_the_centroid() -> None:
+    np.testing.assert_allclose(own_angles(IMAGE, PX), angles_by_numpy(IMAGE, PX), atol=1e-6)
+
+
+def test_orientation_is_opencvs() -> None:
+    image = cv2.GaussianBlur(np.random.default_rng(1).integers(0, 256, (480, 640), dtype=np.uint8), (0, 0), 1.2)
+    keypoints = cv2.ORB.create(500, nlevels=1).detect(image)
+    px = np.asarray(cv2.KeyPoint.convert(keypoints)).astype(int)
+    theirs_rad = np.deg2rad([keypoint.angle for keypoint in keypoints])
+    assert len(px) > 300
+    difference = np.angle(np.exp(1j * (own_angles(image, px) - theirs_rad)))
+    assert np.abs(difference).max() < np.deg2rad(0.05)  # OpenCV's arctangent is an approximation
+
+
+def test_orientation_turns_with_the_image() -> None:
+    middle = np.array([[60, 60]])
+    square = IMAGE[:, :121]
+    upright, turned = own_angles(square, middle)[0], own_angles(np.ascontiguousarray(np.rot90(square, -1)), middle)[0]
+    # np.rot90(…, -1) turns clockwise as seen, which is +90° where y points down.
+    assert np.angle(np.exp(1j * (turned - upright))) == pytest.approx(np.pi / 2, abs=1e-5)
+
+
+def test_descriptor_bits_are_the_comparisons_in_order() -> None:
+    steps = RNG.integers(0, N_TURNS, len(PX))
+    angle_rad = (2 * np.pi * steps / N_TURNS).astype(np.float32)
+    found = np.zeros((len(PX), 32), np.uint8)
+    describe(IMAGE, PX.astype(np.float32), angle_rad, turned_offsets(PATTERN, IMAGE.shape[1]), found)
+    for i, (x, y) in enumerate(PX):
+        c, s = np.cos(2 * np.pi * steps[i] / N_TURNS), np.sin(2 * np.pi * steps[i] / N_TURNS)
+        for k, (x0, y0, x1, y1) in enumerate(PATTERN.astype(float)):
+            first = IMAGE[y + round(x0 * s + y0 * c), x + round(x0 * c - y0 * s)]
+            second = IMAGE[y + round(x1 * s + y1 * c), x + round(x1 * c - y1 * s)]
+            assert (found[i, k // 8] >> (k % 8)) & 1 == (first < second)
+
+
+@pytest.mark.parametrize("turn_rad", [-np.pi, -3.0, -0.01, 0.0, 0.01, 1.0, np.pi, 6.2])
+def test_the_nearest_turn_of_the_table_is_used(turn_rad: float) -> None:
+    offsets = np.tile(np.arange(N_TURNS, dtype=np.int32)[:, None], (1, 512))
+    offsets[:, 0::2] = 0  # the first place is the keypoint itself, the second tells the turn by its brightness
+    offsets[:, 1::2] += 1
+    nearest = round(turn_rad / (2 * np.pi) * N_TURNS) % N_TURNS
+    for bright, expected in ((nearest, 255), ((nearest + 1) % N_TURNS, 0)):
+        row = np.zeros((1, 1024), np.uint8)
+        row[0, 300 + 1 + bright] = 1
+        found = np.full((1, 32), 77, np.uint8)
+        describe(row, np.array([[300, 0]], np.float32), np.array([turn_rad], np.float32), offsets, found)
+        assert np.all(found == expected)
+
+
+def test_the_turned_pattern_stays_within_the_border() -> None:
+    farthest = np.array([[13, 13, -13, 13]] * 256, dtype=np.int32)
+    offsets = turned_offsets(farthest, 1000)
+    row = np.rint(offsets / 1000)
+    assert np.abs(row).max() <= BORDER_PX
+    assert np.abs(offsets - 1000 * row).max() <= BORDER_PX

@@ -155,7 +155,10 @@ class Map:
         )
 
     def remove_observations(self, rows: Ints) -> None:
-        """Let rows (N,) see nothing; a point with fewer than two observations left is removed."""
+        """Let rows (N,) see nothing; of these points those with at most two observations left are removed.
+
+        One with depth counts as two (REFERENCE 2.6), so one view that is left is never enough.
+        """
         touched = np.unique(self.keypoints.point[rows])
         self._unlink(rows)
         touched = touched[touched >= 0]
@@ -171,8 +174,8 @@ class Map:
         place, rows = self.observations(old_ids)
         self._unlink(rows)
         self.observe(np.asarray(new_ids)[place], rows)
-        self.points.n_visible[new_ids] += self.points.n_visible[old_ids]
-        self.points.n_found[new_ids] += self.points.n_found[old_ids]
+        np.add.at(self.points.n_visible, new_ids, self.points.n_visible[old_ids])
+        np.add.at(self.points.n_found, new_ids, self.points.n_found[old_ids])
         self.points.is_alive[old_ids] = False
         self.points.replaced_by[old_ids] = new_ids
 

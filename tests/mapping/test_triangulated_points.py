@@ -1,0 +1,134 @@
+"""Points that two keyframes make together, against the world they look at."""
+
+import numpy as np
+import pytest
+from small_world import CAMERA, SmallMap, SmallWorld, pose
+
+from stillroom.mapping.new_points import by_triangulation
+
+SIDE = pose(0.4, 0.05, 0.0, (0.0, -0.08, 0.01))
+FORWARD = pose(0.02, 0.0, 0.8)
+
+
+def two_keyframes(T_world_second: np.ndarray, seed: int = 0, **look: float) -> SmallMap:
+    """Two keyframes that see the same world and have no points yet."""
+    small = SmallMap(SmallWorld.of(seed, 400))
+    for T in (np.eye(4), T_world_second):
+        small.add(T, make_points=False, **look)
+    return small
+
+
+def triangulated(small: SmallMap) -> tuple[np.ndarray, np.ndarray]:
+    """Return the new points' ids and which points of the world they should be, checking that both views agree."""
+    ids = by_triangulation(1, [0], CAMERA, small.map)
+    place, rows = small.map.observations(ids)
+    numbers = np.concatenate(small.seen)[rows]
+    keyframes = small.map.keypoints.keyframe[rows]
+    assert sorted(zip(place.tolist(), keyframes.tolist(), strict=True)) == [
+        (i, k) for i in range(len(ids)) for k in (0, 1)
+    ]
+    assert np.all(numbers[keyframes == 0] == numbers[keyframes == 1])
+    return ids, numbers[keyframes == 1]
+
+
+def in_both(small: SmallMap) -> np.ndarray:
+    return np.intersect1d(*small.seen)
+
+
+@pytest.mark.parametrize("T_world_second", [SIDE, FORWARD], ids=["side", "forward"])
+@pytest.mark.parametrize("depth_share", [0.0, 0.5, 1.0])
+def test_points_lie_where_they_are(T_world_second: np.ndarray, depth_share: float) -> None:
+    small = two_keyframes(T_world_second, depth_share=depth_share, flips=10)
+    ids, numbers = triangulated(small)
+    # Forward motion has little parallax in the middle of the image: without depth those points are left out.
+    assert len(ids) > (0.5 if depth_share == 0 else 0.9) * len(in_both(small))
+    np.testing.assert_allclose(small.map.points.position_m[ids], small.world.points_m[numbers], atol=0.02)
+    error_m = np.linalg.norm(small.map.points.position_m[ids] - small.world.points_m[numbers], axis=1)
+    assert np.median(error_m) < 1e-3
+    assert np.all(small.map.points.first_keyframe[ids] == 1)
+    assert np.all(small.map.points.n_keyframes[ids] == 2)
+    np.testing.assert_allclose(np.linalg.norm(small.map.points.normal[ids], axis=1), 1)
+
+
+def test_noise_of_a_pixel_leaves_errors_of_what_it_stands_for() -> None:
+    small = two_keyframes(SIDE, depth_share=0.0, noise_px=0.5)
+    ids, numbers = triangulated(small)
+    z = small.world.points_m[numbers, 2]
+    error_m = np.abs(small.map.points.position_m[ids, 2] - z)
+    expected_m = z**2 / (CAMERA.fx * 0.4)  # depth error per pixel of disparity
+    assert 0.2 < np.median(error_m / expected_m) < 2
+
+
+def test_a_neighbour_nearer_than_the_stereo_baseline_is_left_out() -> None:
+    assert len(triangulated(two_keyframes(pose(0.9 * CAMERA.baseline_m)))[0]) == 0
+    assert len(triangulated(two_keyframes(pose(1.5 * CAMERA.baseline_m)))[0]) > 0
+
+
+def test_far_points_without_parallax_need_depth() -> None:
+    for depth_share, share in ((0.0, 0.0), (1.0, 0.9)):
+        small = SmallMap(SmallWorld.of(0, 300, near_m=14.0, far_m=16.0))
+        for T in (np.eye(4), pose(0.1)):
+            small.add(T, make_points=False, depth_share=depth_share)
+        ids, numbers = triangulated(small)
+        assert len(ids) >= share * len(in_both(small))
+        assert depth_share or len(ids) == 0
+        np.testing.assert_allclose(small.map.points.position_m[ids], small.world.points_m[numbers], atol=0.01)
+
+
+def test_of_two_depths_the_nearer_one_is_used() -> None:
+    small = two_keyframes(FORWARD)
+    small.map.keypoints.depth_m[small.map.rows(0)] *= 1.001  # the farther view's depth is a little wrong
+    ids, numbers = triangulated(small)
+    np.testing.assert_allclose(small.map.points.position_m[ids], small.world.points_m[numbers], atol=1e-3)
+
+
+@pytest.mark.parametrize(("levels", "is_fair"), [((0, 3), True), ((3, 0), True), ((0, 4), False), ((4, 0), False)])
+def test_levels_that_contradict_the_distances_are_refused(levels: tuple[int, int], is_fair: bool) -> None:
+    # Sideways all distances stay alike; 1.5 · 1.2 is what the sizes may differ, 1.2³ = 1.73 and 1.2⁴ = 2.07.
+    small = two_keyframes(SIDE, depth_share=0.0)
+    for k, level in enumerate(levels):
+        small.map.keypoints.octave[small.map.rows(k)] = level
+    share = len(triangulated(small)[0]) / len(in_both(small))
+    assert share > 0.7 if is_fair else share < 0.05
+
+
+def test_a_point_that_halves_its_distance_may_climb_four_levels() -> None:
+    # 1.2⁴ = 2.07: half as far, twice as large. Points stand at 4 m, the camera walks 2 m towards them.
+    small = SmallMap(SmallWorld.of(0, 400, near_m=4.0, far_m=4.1))
+    for T in (np.eye(4), pose(0.3, 0.0, 2.0)):
+        small.add(T, make_points=False, depth_share=0.0)
+    octave = small.map.keypoints.octave
+    octave[small.map.rows(0)], octave[small.map.rows(1)] = 1, 5
+    assert len(triangulated(small)[0]) > 0.7 * len(in_both(small))
+    small = SmallMap(SmallWorld.of(0, 400, near_m=4.0, far_m=4.1))
+    for T in (np.eye(4), pose(0.3, 0.0, 2.0)):
+        small.add(T, make_points=False, depth_share=0.0)
+    octave = small.map.keypoints.octave
+    octave[small.map.rows(0)], octave[small.map.rows(1)] = 5, 1
+    assert len(triangulated(small)[0]) == 0
+
+
+def test_moving_keypoints_and_those_that_see_a_point_take_no_part() -> None:
+    small = two_keyframes(SIDE)
+    rows = small.map.rows(1)
+    small.map.keypoints.is_static[rows.start : rows.start + 50] = False
+    taken = np.arange(rows.start + 50, rows.start + 80)
+    old = small.map.add_points(np.zeros((30, 3)), taken)
+    ids, numbers = triangulated(small)
+    assert not np.isin(numbers, small.seen[1][:80]).any()
+    np.testing.assert_array_equal(small.map.keypoints.point[taken], old)
+    assert len(ids) > 100
+
+
+def test_what_meets_behind_a_camera_or_off_its_depth_is_no_point() -> None:
+    swapped = two_keyframes(pose(0.4), depth_share=0.0)
+    T = swapped.map.keyframes.T_world_cam
+    T[:2] = T[1::-1]  # each camera stands where the other one was: rays meet behind them
+    assert len(triangulated(swapped)[0]) == 0
+    lying = two_keyframes(SIDE)
+    table, rows = lying.map.keypoints, lying.map.rows(1)
+    table.right_px[rows] += 12.0  # disparity that contradicts the parallax
+    rows_of_new = lying.map.observations(triangulated(lying)[0])[1]
+    believed = rows_of_new[rows_of_new >= rows.start]
+    assert np.all(table.right_px[believed] < 0)  # where it lies outside the image nothing contradicts
+    assert len(believed) < 5

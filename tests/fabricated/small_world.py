@@ -7,6 +7,8 @@ import numpy as np
 from stillroom.data.frame import Frame, Keypoints, ScaleLevels
 from stillroom.data.image import RgbdImage
 from stillroom.data.map import Map
+from stillroom.data.motion import Motion
+from stillroom.data.result import Tracked, TrackingState
 from stillroom.data.semantics import Semantics, nothing
 from stillroom.geometry import se3
 from stillroom.geometry.camera import Camera
@@ -95,6 +97,7 @@ class SmallMap:
     map: Map = field(default_factory=lambda: Map(SCALES))
     id_of: np.ndarray = field(init=False)
     seen: list[np.ndarray] = field(default_factory=list)
+    frames: list[Frame] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.id_of = np.full(len(self.world.points_m), -1, dtype=np.int32)
@@ -113,6 +116,7 @@ class SmallMap:
         frame, seen = self.world.look(T_world_cam, seed=k, index=k, **look)
         self.map.add_keyframe(frame, T_world_cam, self.id_of[seen], frame.is_static, k - 1)
         self.seen.append(seen)
+        self.frames.append(frame)
         if make_points:
             new = np.flatnonzero(self.id_of[seen] < 0)
             start = self.map.rows(k).start
@@ -120,6 +124,12 @@ class SmallMap:
         self.map.refresh(self.id_of[self.id_of >= 0])
         self.map.connect(k)
         return k
+
+    def tracked(self, keyframe: int) -> Tracked:
+        """Return a keyframe's frame as tracking would have handed it over."""
+        frame, T_world_cam = self.frames[keyframe], self.map.keyframes.T_world_cam[keyframe].copy()
+        motion = Motion.none(len(frame), CAMERA.height, CAMERA.width)
+        return Tracked(frame, TrackingState.OK, T_world_cam, self.map.points_of(keyframe).copy(), motion, keyframe)
 
     def number_of(self) -> np.ndarray:
         """Return which point of the world each point of the map is (Q,)."""

@@ -32,6 +32,8 @@ def with_last_frame(frame: Frame, last: Tracked, T_cam_world: F64, world: Map, r
     """
     assert last.T_world_cam is not None
     seen = np.flatnonzero(last.point_ids >= 0)
+    # Points that mapping joined since the last frame are looked for once.
+    seen = np.sort(seen[np.unique(last.point_ids[seen], return_index=True)[1]])
     ids = last.point_ids[seen]
     points_cam = se3.transform(T_cam_world, world.points.position_m[ids])
     ahead = points_cam[:, 2] > 0.05

@@ -103,7 +103,9 @@ class Tracker:
         motion = Motion.none(len(frame), frame.image.height, frame.image.width)
         fix = _Fix(T_cam_world, point_ids, motion, np.zeros(0, dtype=np.int32))
         tracked = self._with_local_map(frame, fix, self._reference, semantics, world)
-        return replace(tracked, recovered=not tracked.lost)
+        if tracked.n_inliers < self.config.min_inliers_recovered:
+            return _lost(frame, tracked.reference_keyframe, tracked.motion)
+        return replace(tracked, recovered=True)
 
     def remember(self, tracked: Tracked, world: Map) -> None:
         """Take the outcome of a frame, mapping included, as the past of the next one."""
@@ -154,7 +156,7 @@ class Tracker:
     ) -> _Fix | None:
         assert last.T_world_cam is not None
         keyframe = last.reference_keyframe
-        if not world.keyframes.is_alive[keyframe]:
+        while not world.keyframes.is_alive[keyframe]:
             keyframe = int(world.keyframes.parent[keyframe])
         matches = correspondences.with_keyframe(frame, keyframe, world)
         guess = se3.inverse(last.T_world_cam)

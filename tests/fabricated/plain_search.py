@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from stillroom.features.grid import CELL_PX
 from stillroom.features.matching import Queries, Targets
 
 
@@ -19,11 +20,10 @@ def one_to_one(wanted: dict[int, tuple[int, int]]) -> dict[int, int]:
     return {query: target for query, (target, _) in wanted.items() if owner[target] == query}
 
 
-def best_two(bits: np.ndarray, allowed: np.ndarray) -> tuple[int, int, int]:
-    """Return the nearest allowed target, and nearest and second nearest distance; −1 and 257 where there is none."""
-    order = sorted(np.flatnonzero(allowed), key=lambda i: bits[i])
-    nearest = int(order[0]) if order else -1
-    return nearest, int(bits[order[0]]) if order else 257, int(bits[order[1]]) if len(order) > 1 else 257
+def best_two(bits: np.ndarray, allowed: np.ndarray) -> tuple[int, int]:
+    """Return the nearest and the second nearest allowed target, of equals the first in order; −1 for none."""
+    order = sorted(np.flatnonzero(allowed).tolist(), key=lambda i: bits[i])
+    return (*order, -1, -1)[:2]
 
 
 def windows_allow(queries: Queries, targets: Targets, q: int) -> np.ndarray:
@@ -37,17 +37,17 @@ def windows_allow(queries: Queries, targets: Targets, q: int) -> np.ndarray:
 
 
 def search_windows_plainly(queries: Queries, targets: Targets, max_bits: int, ratio: float) -> dict[int, int]:
-    """Query → target of the windowed search. Random descriptors only: equal distances are not decided as the kernel."""
-    bits = bits_between(queries.descriptors, targets.descriptors)
-    wanted = {}
+    """Query → target of the windowed search."""
+    # Of equals the one in the first cell counts, row by row.
+    row, column = np.floor((targets.px - targets.px.min(axis=0)) / CELL_PX).T[::-1]
+    order = np.lexsort((column, row))
+    bits, wanted = bits_between(queries.descriptors, targets.descriptors)[:, order], {}
     for q in range(len(queries.px)):
-        allowed = windows_allow(queries, targets, q)
-        nearest, best, second = best_two(bits[q], allowed)
-        if nearest < 0 or best > max_bits:
+        nearest, second = best_two(bits[q], windows_allow(queries, targets, q)[order])
+        if nearest < 0 or bits[q, nearest] > max_bits:
             continue
-        others = np.flatnonzero(allowed & (bits[q] == second))
-        rivals = [i for i in others if i != nearest and targets.octave[i] == targets.octave[nearest]]
-        if rivals and best > ratio * second:
+        is_rival = second >= 0 and targets.octave[order[second]] == targets.octave[order[nearest]]
+        if is_rival and bits[q, nearest] > ratio * bits[q, second]:
             continue
-        wanted[q] = (nearest, best)
+        wanted[q] = (int(order[nearest]), int(bits[q, nearest]))
     return one_to_one(wanted)

@@ -22,9 +22,9 @@ def search_plainly(F: np.ndarray, first: Targets, second: Targets, epipole_px: n
         allowed = second.usable & (distance_px**2 <= 3.84 * sigma_px**2)
         if first.right_px[i] < 0:
             allowed &= ~((second.right_px < 0) & near_epipole)
-        nearest, best, _ = best_two(bits[i], allowed)
-        if best <= NEAR_BITS:
-            wanted[int(i)] = (nearest, best)
+        nearest, _ = best_two(bits[i], allowed)
+        if nearest >= 0 and bits[i, nearest] <= NEAR_BITS:
+            wanted[int(i)] = (nearest, int(bits[i, nearest]))
     return one_to_one(wanted)
 
 
@@ -64,6 +64,17 @@ def test_near_the_epipole_a_match_needs_depth() -> None:
     assert len(search_epipolar(F, blind[0], blind[1], SCALES.factors, epipole_px)[0]) == 0
     assert len(search_epipolar(F, first, blind[1], SCALES.factors, epipole_px)[0]) > 0
     assert len(search_epipolar(F, blind[0], second, SCALES.factors, epipole_px)[0]) > 0
+
+
+@pytest.mark.parametrize(("distance_px", "is_found"), [(15, False), (16.5, True)])
+def test_how_near_is_near_grows_with_the_level(distance_px: float, is_found: bool) -> None:
+    # Ten pixels on the finest level; on level 5, 1.2⁵ = 2.49 times as large, √249 = 15.8 px (ORB-SLAM2).
+    first, second, F, epipole_px, _ = two_views(0, pose(0.02, 0.01, 0.5))
+    first, second = (replace(t, right_px=np.full_like(t.right_px, -1.0)) for t in (first, second))
+    turn_rad = np.linspace(0, 2 * np.pi, len(second.px))
+    around = epipole_px + distance_px * np.stack((np.cos(turn_rad), np.sin(turn_rad)), axis=1)
+    second = replace(second, px=around.astype(np.float32), octave=np.full(len(turn_rad), 5, np.int32))
+    assert (len(search_epipolar(F, first, second, SCALES.factors, epipole_px)[0]) > 0) == is_found
 
 
 def test_no_usable_keypoints_and_no_line_give_no_matches() -> None:

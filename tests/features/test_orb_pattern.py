@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
+from stillroom.features import orb_pattern as orb_pattern_module
 from stillroom.features.describe import describe, orientations, patch_half_widths, turned_offsets
 from stillroom.features.orb_pattern import REACH_PX, orb_pattern
 
@@ -97,3 +98,19 @@ def test_a_pattern_that_opencv_does_not_use_is_noticed() -> None:
     swapped = np.zeros((len(px), 32), np.uint8)
     describe(opencv_blur(image), px, angle_rad, offsets, swapped)
     assert agreement(swapped, descriptors) < 0.1
+
+
+def test_a_comparison_that_is_found_a_pixel_off_is_moved_into_place() -> None:
+    patches = np.random.default_rng(0).integers(0, 256, (3000, (2 * REACH_PX + 1) ** 2)).astype(float)
+    true = np.array([200, 411])
+    answers = patches[:, true[0]] < patches[:, true[1]]
+    for off in ([1, 0], [-27, 28], [0, -26]):
+        np.testing.assert_array_equal(orb_pattern_module._sharpened(true + off, patches, answers), true)
+
+
+def test_a_descriptor_that_is_no_set_of_comparisons_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    patches, bits = orb_pattern_module._answers_on_noise()
+    bits[:, 100] = patches.sum(axis=1) > np.median(patches.sum(axis=1))
+    monkeypatch.setattr(orb_pattern_module, "_answers_on_noise", lambda: (patches, bits))
+    with pytest.raises(AssertionError, match="not the one we know"):
+        orb_pattern.__wrapped__()

@@ -14,9 +14,13 @@ def targets_and_queries(seed: int, n: int = 400, q: int = 300, flips: int = 40) 
     rng = np.random.default_rng(seed)
     px = (rng.uniform(0, 1, (n, 2)) * [160, 120]).astype(np.float32)
     descriptors = rng.integers(0, 256, (n, 32), dtype=np.uint8)
+    # The second half has a rival in the first half: beside it, and almost the same to look at.
+    px[n // 2 :] = px[: n - n // 2] + rng.normal(0, 3, (n - n // 2, 2))
+    rivals = np.unpackbits(descriptors[: n - n // 2], axis=1) ^ (rng.random((n - n // 2, 256)) < 0.1)
+    descriptors[n // 2 :] = np.packbits(rivals, axis=1)
     targets = Targets(
         px=px,
-        octave=rng.integers(0, 4, n).astype(np.int32),
+        octave=rng.integers(0, 3, n).astype(np.int32),
         right_px=np.where(rng.random(n) < 0.7, px[:, 0] - rng.uniform(0, 20, n), -1).astype(np.float32),
         descriptors=descriptors,
         usable=rng.random(n) < 0.8,

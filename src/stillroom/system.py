@@ -4,23 +4,30 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from stillroom.config import SlamConfig
 from stillroom.data.image import RgbdImage
 from stillroom.data.map import Map
 from stillroom.data.result import FrameResult, Tracked
 from stillroom.data.semantics import Semantics
 from stillroom.data.trajectory import Trajectory
+from stillroom.dynamics.keep_all import KeepAllKeypoints
+from stillroom.evaluation.timed_parts import timed_part
+from stillroom.evaluation.timing import StageClock
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64
+from stillroom.geometry.camera import Camera
 from stillroom.mapping.local_mapper import LocalMapper
 from stillroom.protocols import FeatureExtractor, KeypointSieve, Pending, RunObserver, Schedule, Segmenter
+from stillroom.schedule import InOrder
 from stillroom.tracking.keyframe_policy import KeyframePolicy
 from stillroom.tracking.relocalizer import Relocalizer
 from stillroom.tracking.tracker import Tracker
+from stillroom.viz.nothing import Nothing
 
 
 @dataclass
 class Slam:
-    """An RGB-D SLAM system, put together by `config.build`."""
+    """An RGB-D SLAM system, put together by `build`."""
 
     schedule: Schedule
     segmenter: Segmenter
@@ -105,6 +112,48 @@ class Slam:
         if tracked.T_world_cam is None:
             return None
         return se3.inverse(self.map.keyframe_pose(tracked.reference_keyframe)) @ tracked.T_world_cam
+
+
+def build(
+    config: SlamConfig,
+    camera: Camera,
+    segmenter: Segmenter | None = None,
+    schedule: Schedule | None = None,
+    observer: RunObserver | None = None,
+    clock: StageClock | None = None,
+) -> Slam:
+    """Put a system together.
+
+    Args:
+        config: What it consists of.
+        camera: The calibration of its images.
+        segmenter: Says what may move; the config's where not given.
+        schedule: When work runs; in order where not given.
+        observer: Who looks on; nobody where not given.
+        clock: Notes what the stages cost. `tracking` includes `dynamics`, the time of sieve 2.
+
+    Raises:
+        ConfigError: A value is impossible.
+        WeightsError: A network's weights are absent.
+    """
+    clock = clock or StageClock()
+    segmenter = segmenter or config.semantics.build()
+    world = Map(config.features.scales)
+    sieve = timed_part(config.dynamics.build(config.seed), clock, judge="dynamics")
+    tracker = config.tracking.build(sieve)
+    recovery = config.recovery.build(tracker, config.seed)
+    return Slam(
+        schedule=schedule or InOrder(),
+        segmenter=clock.timed("semantics", segmenter),
+        features=timed_part(config.features.build(camera, config.seed), clock, extract="features"),
+        keypoint_sieve=KeepAllKeypoints(),
+        tracker=timed_part(tracker, clock, track="tracking"),
+        recovery=timed_part(recovery, clock, recover="recovery"),
+        keyframe_policy=config.keyframes.build(),
+        mapper=timed_part(config.mapping.build(camera, world), clock, insert="keyframe", refine="mapping"),
+        map=world,
+        observer=observer or Nothing(),
+    )
 
 
 def _trajectory(timestamps_s: list[float], poses: list[F64]) -> Trajectory:

@@ -1,0 +1,108 @@
+"""Measure what lies in a results folder, or in any two files."""
+
+import logging
+from dataclasses import dataclass
+from pathlib import Path
+
+from stillroom.data.trajectory import Trajectory, read_tum
+from stillroom.errors import StillroomError, TrajectoryError
+from stillroom.evaluation.report import Evaluation, evaluate
+from stillroom.pipeline import results
+from stillroom.pipeline.folders import results_folder
+from stillroom.pipeline.plots import draw_plots
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A trajectory with its figures.
+
+    Attributes:
+        name: What it is called in tables and pictures.
+        folder: Where figures and pictures were written; None where nowhere.
+        evaluation: The figures.
+        pictures: What was drawn.
+    """
+
+    name: str
+    folder: Path | None
+    evaluation: Evaluation
+    pictures: tuple[Path, ...] = ()
+
+
+def evaluate_trajectory(trajectory: Trajectory, truth: results.Truth | None, n_given: int) -> Evaluation | None:
+    """Measure a run; None, and a word in the log, where there is nothing to measure it by."""
+    if truth is None:
+        return None
+    try:
+        return evaluate(trajectory, truth.as_given, groundtruth_camera=truth.at_camera, n_given=n_given)
+    except TrajectoryError as error:
+        log.warning("no figures: %s", error)
+        return None
+
+
+def evaluate_folder(path: Path, baseline: Path | None = None, write: bool = True) -> Judged:
+    """Measure the run of a results folder anew; its metrics.json and pictures are made again.
+
+    Args:
+        path: The folder; `latest` may stand for one.
+        baseline: The folder of a run to compare it with.
+        write: Whether to write anything.
+
+    Raises:
+        StillroomError: A folder is none of results.
+        TrajectoryError: There is no ground truth, or nothing can be compared.
+    """
+    folder, trajectory, truth, evaluation = _measured(path)
+    trajectories = {folder.name: trajectory}
+    if baseline is not None:
+        other, other_trajectory, _, other_evaluation = _measured(baseline)
+        evaluation = evaluation.against(other_evaluation, other.name)
+        trajectories[other.name] = other_trajectory
+    if not write:
+        return Judged(folder.name, None, evaluation)
+    run = results.read_run_figures(folder)
+    results.write_metrics(folder, evaluation.n_tracked, evaluation.n_given, evaluation, run)
+    pictures = draw_plots(folder / results.PICTURES, trajectories, truth.as_given, folder.name)
+    return Judged(folder.name, folder, evaluation, pictures)
+
+
+def evaluate_files(estimate: Path, truth: results.Truth, folder: Path | None, baseline: Path | None = None) -> Judged:
+    """Measure anyone's trajectory.
+
+    Args:
+        estimate: A file in the TUM format.
+        truth: What to measure it by.
+        folder: Where to write figures and pictures; None for nowhere.
+        baseline: Another such file, to compare it with.
+
+    Raises:
+        TrajectoryError: A file cannot be read, or nothing can be compared.
+    """
+    trajectories = {path.stem: read_tum(path) for path in (estimate, baseline) if path is not None}
+    own = trajectories[estimate.stem]
+    evaluation = evaluate(own, truth.as_given, groundtruth_camera=truth.at_camera)
+    if baseline is not None:
+        other = read_tum(baseline)
+        evaluation = evaluation.against(
+            evaluate(other, truth.as_given, groundtruth_camera=truth.at_camera), str(baseline)
+        )
+    if folder is None:
+        return Judged(estimate.stem, None, evaluation)
+    results.write_metrics(folder, evaluation.n_tracked, None, evaluation, None)
+    pictures = draw_plots(folder, trajectories, truth.as_given, estimate.stem)
+    return Judged(estimate.stem, folder, evaluation, pictures)
+
+
+def _measured(path: Path) -> tuple[Path, Trajectory, results.Truth, Evaluation]:
+    folder = results_folder(path)
+    if not (folder / results.FINAL).is_file():
+        raise StillroomError(f"{folder}: no {results.FINAL} in it; is it the folder of a run?")
+    trajectory, truth = read_tum(folder / results.FINAL), results.Truth.read(folder)
+    if truth is None:
+        raise TrajectoryError(f"{folder}: the sequence has no ground truth, so there is nothing to compare it with")
+    evaluation = evaluate(
+        trajectory, truth.as_given, groundtruth_camera=truth.at_camera, n_given=results.count_frames(folder)
+    )
+    return folder, trajectory, truth, evaluation

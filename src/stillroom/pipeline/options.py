@@ -1,0 +1,62 @@
+"""What can be asked of a run: which images it is given, and what it does beside tracking."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from stillroom.datasets.open import open_dataset
+from stillroom.datasets.selection import select
+from stillroom.protocols import Dataset, Segmenter
+
+
+@dataclass(frozen=True)
+class Source:
+    """A sequence, and the part of it that a run sees. Ranges are `a:b` as Python slices.
+
+    Attributes:
+        sequence: A folder, an archive, a known name, or `synthetic:…`.
+        camera: The calibration asked for, a name or a file; the sequence's own where not given.
+        fps: Frames per second [1/s] of a plain folder whose file names tell no times.
+        frames: Images to keep; all where not given.
+        drop: Images that do not exist for this run.
+        blackout: Images that arrive black, without depth.
+    """
+
+    sequence: str
+    camera: str | None = None
+    fps: float | None = None
+    frames: str | None = None
+    drop: tuple[str, ...] = ()
+    blackout: tuple[str, ...] = ()
+
+    def open(self) -> Dataset:
+        """Open it.
+
+        Raises:
+            DatasetError, CalibrationError, TrajectoryError, ConfigError: It cannot be opened; see `open_dataset`
+                and `select`.
+        """
+        return select(open_dataset(self.sequence, self.camera, self.fps), self.frames, self.drop, self.blackout)
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """What a run does beside tracking. None of it changes a pose, but `detector_off` and `segmenter`.
+
+    Attributes:
+        root: Where a folder `<date>_<method>_<sequence>` is made; None to write nothing.
+        folder: The folder to write into instead; it must be new or empty.
+        pictures: How many frames are drawn, spread evenly; 0 for none, and no plots either.
+        detector_off: Ranges of image numbers, first and one past the last, in which the detector finds nothing.
+        segmenter: Stands in for the config's; for a segmenter that was built already.
+        source: Where the images come from; noted in config.toml.
+        asked: What else is to be noted there.
+    """
+
+    root: Path | None = Path("results")
+    folder: Path | None = None
+    pictures: int = 8
+    detector_off: tuple[tuple[int, int], ...] = ()
+    segmenter: Segmenter | None = None
+    source: Source | None = None
+    asked: dict[str, Any] = field(default_factory=dict)

@@ -1,0 +1,161 @@
+"""The files of a results folder.
+
+=======================  =========================================================================
+config.toml              the effective config; in `[run]`, which configures nothing, how it came about
+trajectory.tum           final poses: each frame on its reference keyframe's corrected pose
+trajectory_online.tum    poses as they were known when the frame was tracked
+keyframes.tum            keyframes of the map
+frames.csv               every image with its state: tracked, lost, or unreadable
+timing.csv               what each stage cost in each frame
+groundtruth.tum          true poses as the data set gives them, where it does
+groundtruth_camera.tum   the same moved to the camera, where the given ones are another body's
+metrics.json             the figures
+pictures/                trajectories, errors, and frames with their verdicts
+=======================  =========================================================================
+"""
+
+import csv
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stillroom.config import SlamConfig, to_toml
+from stillroom.data.result import FrameResult
+from stillroom.data.trajectory import Trajectory, read_tum
+from stillroom.datasets.bonn import CAMERA, MARKER, camera_groundtruth
+from stillroom.evaluation.metrics_json import to_json
+from stillroom.evaluation.report import Evaluation
+from stillroom.evaluation.timing import FRAME, peak_memory_mb
+from stillroom.pipeline.options import RunOptions
+from stillroom.pipeline.outcome import RunOutcome
+from stillroom.pipeline.provenance import provenance
+from stillroom.protocols import Dataset
+
+CONFIG = "config.toml"
+FINAL, ONLINE, KEYFRAMES = "trajectory.tum", "trajectory_online.tum", "keyframes.tum"
+FRAMES, TIMING, METRICS, PICTURES = "frames.csv", "timing.csv", "metrics.json", "pictures"
+TRUTH, TRUTH_CAMERA = "groundtruth.tum", "groundtruth_camera.tum"
+UNREADABLE = "unreadable"
+
+
+@dataclass(frozen=True)
+class Truth:
+    """Ground truth, as the data set gives it and, where that is another body's, moved to the camera."""
+
+    as_given: Trajectory
+    at_camera: Trajectory | None = None
+
+    @classmethod
+    def of(cls, dataset: Dataset) -> "Truth | None":
+        """Return that of a sequence, if it has any."""
+        as_given = dataset.groundtruth
+        if as_given is None:
+            return None
+        is_marker = getattr(dataset, "groundtruth_body", CAMERA) == MARKER
+        return cls(as_given, camera_groundtruth(dataset) if is_marker else None)
+
+    @classmethod
+    def read(cls, folder: Path) -> "Truth | None":
+        """Return that of a results folder, if it has any."""
+        if not (folder / TRUTH).exists():
+            return None
+        at_camera = read_tum(folder / TRUTH_CAMERA) if (folder / TRUTH_CAMERA).exists() else None
+        return cls(read_tum(folder / TRUTH), at_camera)
+
+    def write(self, folder: Path) -> None:
+        """Write it into a results folder."""
+        self.as_given.write_tum(folder / TRUTH)
+        if self.at_camera is not None:
+            self.at_camera.write_tum(folder / TRUTH_CAMERA)
+
+
+def write_config(folder: Path, dataset: Dataset, config: SlamConfig, options: RunOptions) -> None:
+    """Write the effective config and how the run comes about, before it begins."""
+    source = {} if options.source is None else {"source": asdict(options.source)}
+    off = [f"{first}:{end}" for first, end in options.detector_off]
+    how = {"name": dataset.name, "camera_source": dataset.camera_source, "detector_off": off, **options.asked}
+    (folder / CONFIG).write_text(to_toml(config, provenance() | how | source), encoding="utf-8")
+
+
+def write_results(folder: Path, outcome: RunOutcome, truth: Truth | None) -> None:
+    """Write everything that a run came to; the trajectories first."""
+    slam = outcome.slam
+    slam.trajectory().write_tum(folder / FINAL)
+    slam.online_trajectory().write_tum(folder / ONLINE)
+    slam.keyframe_trajectory().write_tum(folder / KEYFRAMES)
+    _write_frames(folder / FRAMES, slam.results, outcome.bad)
+    outcome.clock.write_csv(folder / TIMING)
+    if truth is not None:
+        truth.write(folder)
+    write_metrics(folder, outcome.n_tracked, outcome.n_given, outcome.evaluation, _run_figures(outcome))
+
+
+def write_metrics(
+    folder: Path, n_tracked: int, n_given: int | None, evaluation: Evaluation | None, run: Mapping[str, Any] | None
+) -> None:
+    """Write the figures: those of the evaluation where there is one, and those of the run itself."""
+    if evaluation is not None:
+        figures = json.loads(to_json(evaluation))
+    else:
+        coverage = n_tracked / n_given if n_given else None
+        figures = {"n_tracked": n_tracked, "n_given": n_given, "coverage": coverage, "as_given": None}
+    if run is not None:
+        figures["run"] = run
+    (folder / METRICS).write_text(json.dumps(figures, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def read_run_figures(folder: Path) -> dict[str, Any] | None:
+    """Return what metrics.json says of the run itself, if it does."""
+    try:
+        figures = json.loads((folder / METRICS).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    run = figures.get("run") if isinstance(figures, dict) else None
+    return run if isinstance(run, dict) else None
+
+
+def count_frames(folder: Path) -> int | None:
+    """Return how many images a run was given, as far as its folder tells."""
+    try:
+        with (folder / FRAMES).open(encoding="utf-8", newline="") as file:
+            return sum(1 for _ in csv.DictReader(file))
+    except OSError:
+        return None
+
+
+def _write_frames(path: Path, frames: Sequence[FrameResult], bad: Sequence[tuple[int, float]]) -> None:
+    rows = [
+        (r.index, f"{r.timestamp_s:.6f}", r.state.value, r.n_keypoints, r.n_static, r.n_inliers, int(r.is_keyframe))
+        for r in frames
+    ]
+    rows += [(number, f"{time_s:.6f}", UNREADABLE, 0, 0, 0, 0) for number, time_s in bad]
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(["frame", "timestamp_s", "state", "keypoints", "static", "inliers", "is_keyframe"])
+        writer.writerows(sorted(rows))
+
+
+def _run_figures(outcome: RunOutcome) -> dict[str, Any]:
+    frames, world = outcome.slam.results, outcome.slam.map
+    frame_time = next((stage for stage in outcome.clock.summary() if stage.stage == FRAME), None)
+    peak_mb = peak_memory_mb()
+    tracked = [r for r in frames if r.T_world_cam is not None]
+    return {
+        "n_unreadable": outcome.n_bad,
+        "interrupted": outcome.interrupted,
+        "n_keyframes": len(world.alive_keyframes()),
+        "n_points": int(world.points.is_alive.sum()),
+        "keypoints_mean": _mean([r.n_keypoints for r in tracked]),
+        "static_mean": _mean([r.n_static for r in tracked]),
+        "inliers_mean": _mean([r.n_inliers for r in tracked]),
+        "frame_ms": None if frame_time is None else asdict(frame_time),
+        "peak_memory_mb": None if np.isnan(peak_mb) else peak_mb,
+    }
+
+
+def _mean(values: Sequence[int]) -> float | None:
+    return float(np.mean(values)) if values else None

@@ -1,0 +1,174 @@
+"""Run a method over a sequence."""
+
+import logging
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from stillroom.config import SlamConfig
+from stillroom.data.result import FrameResult, Tracked
+from stillroom.data.semantics import Semantics
+from stillroom.datasets.selection import original_numbers
+from stillroom.errors import FrameError
+from stillroom.evaluation.timing import FRAME, StageClock
+from stillroom.pipeline import folders, results
+from stillroom.pipeline.evaluating import evaluate_trajectory
+from stillroom.pipeline.options import RunOptions
+from stillroom.pipeline.outcome import RunOutcome
+from stillroom.pipeline.plots import draw_plots
+from stillroom.pipeline.progress import SILENT, Progress
+from stillroom.pipeline.stop_request import StopRequest
+from stillroom.protocols import Dataset, RunObserver
+from stillroom.semantics.detector_off import withhold
+from stillroom.system import build
+from stillroom.viz.nothing import Nothing
+from stillroom.viz.recorder import PictureRecorderConfig
+
+log = logging.getLogger(__name__)
+
+MAX_WARNINGS = 10
+LOADING = "loading"
+SWITCH_INTERVAL_S = 0.0005
+
+
+def run(
+    dataset: Dataset, config: SlamConfig, options: RunOptions | None = None, progress: Progress = SILENT
+) -> RunOutcome:
+    """Track every image of a sequence, write the results, and measure them against the ground truth.
+
+    Ctrl-C, or an error in the middle, ends it early; what there is by then is written all the same.
+
+    Args:
+        dataset: The sequence.
+        config: The method.
+        options: What else is to be done.
+        progress: Who is told how it gets on.
+
+    Raises:
+        StillroomError: Something that the run needs is wrong; a single image that cannot be read is not.
+    """
+    options = options or RunOptions()
+    _settle(config.seed)
+    clock, newest = StageClock(), _Newest()
+    segmenter = withhold(options.segmenter or config.semantics.build(), options.detector_off)
+    slam = build(config, dataset.camera, segmenter, observer=newest, clock=clock)
+    folder = _folder(dataset, config, options)
+    outcome = RunOutcome(config.method, folder, slam, clock)
+    if folder is not None:
+        results.write_config(folder, dataset, config, options)
+    with _concluded_in_any_case(outcome, dataset, options.pictures > 0):
+        recorder = _recorder(folder, dataset, options.pictures)
+        progress.start(len(dataset))
+        try:
+            _track_all(dataset, outcome, newest, recorder, progress)
+        finally:
+            progress.finish()
+            slam.close()
+    return outcome
+
+
+def _settle(seed: int) -> None:
+    """Hold OpenCV to one thread, seed it, and let Python's threads take turns quickly.
+
+    onnxruntime's sessions are made with one thread. BLAS takes its number from OPENBLAS_NUM_THREADS, MKL_NUM_THREADS
+    or OMP_NUM_THREADS when numpy is imported; the command line sets these.
+    """
+    cv2.setNumThreads(1)
+    cv2.setRNGSeed(seed % 2**31)
+    sys.setswitchinterval(SWITCH_INTERVAL_S)
+
+
+def _track_all(
+    dataset: Dataset, outcome: RunOutcome, newest: "_Newest", recorder: RunObserver, progress: Progress
+) -> None:
+    slam, clock = outcome.slam, outcome.clock
+    with StopRequest() as stop:
+        for place in range(len(dataset)):
+            if stop.asked:
+                outcome.interrupted = True
+                return
+            outcome.n_given += 1
+            try:
+                with clock.stage(LOADING):
+                    image = dataset.load(place)
+            except FrameError as error:
+                _note_bad(dataset, place, error, outcome)
+                progress.frame(None)
+                continue
+            with clock.stage(FRAME):
+                result = slam.process(image)
+            clock.next_frame(image.index)
+            newest.show(recorder)
+            progress.frame(result)
+
+
+@contextmanager
+def _concluded_in_any_case(outcome: RunOutcome, dataset: Dataset, with_plots: bool) -> Iterator[None]:
+    """Evaluate and write what there is when the block ends, however it ends."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        outcome.interrupted = True
+    except BaseException:
+        _conclude(outcome, dataset, with_plots)
+        raise
+    _conclude(outcome, dataset, with_plots)
+
+
+def _conclude(outcome: RunOutcome, dataset: Dataset, with_plots: bool) -> None:
+    trajectory, truth, folder = outcome.slam.trajectory(), results.Truth.of(dataset), outcome.folder
+    outcome.evaluation = evaluate_trajectory(trajectory, truth, outcome.n_given)
+    if folder is None:
+        return
+    results.write_results(folder, outcome, truth)
+    if with_plots and truth is not None and outcome.evaluation is not None:
+        title = f"{outcome.method} on {dataset.name}"
+        draw_plots(folder / results.PICTURES, {outcome.method: trajectory}, truth.as_given, title)
+    outcome.pictures = tuple(sorted((folder / results.PICTURES).glob("*.png")))
+
+
+def _note_bad(dataset: Dataset, place: int, error: FrameError, outcome: RunOutcome) -> None:
+    outcome.n_bad += 1
+    outcome.bad.append((int(original_numbers(dataset)[place]), float(dataset.timestamps_s[place])))
+    if outcome.n_bad <= MAX_WARNINGS:
+        log.warning("image left out: %s", error)
+    if outcome.n_bad == MAX_WARNINGS:
+        log.warning("further images that cannot be read are left out without a word")
+
+
+def _folder(dataset: Dataset, config: SlamConfig, options: RunOptions) -> Path | None:
+    if options.folder is not None:
+        return folders.chosen_folder(options.folder)
+    if options.root is not None:
+        return folders.new_folder(options.root, config.method, dataset.name)
+    return None
+
+
+def _recorder(folder: Path | None, dataset: Dataset, n_pictures: int) -> RunObserver:
+    if folder is None or n_pictures <= 0:
+        return Nothing()
+    numbers = original_numbers(dataset)
+    # The middles of equal parts: neither the first frame, on which nothing is known yet, nor the last.
+    places = (np.arange(n_pictures) + 0.5) * len(numbers) / n_pictures
+    chosen = tuple(int(number) for number in numbers[np.unique(places.astype(np.int64))])
+    return PictureRecorderConfig(every=0, frames=chosen).build(folder / results.PICTURES)
+
+
+class _Newest:
+    """Keeps the newest frame until its time is taken, so that what looks on costs the frame nothing."""
+
+    def __init__(self) -> None:
+        self._seen: tuple[Tracked, Semantics, FrameResult] | None = None
+
+    def on_frame(self, tracked: Tracked, semantics: Semantics, result: FrameResult) -> None:
+        self._seen = (tracked, semantics, result)
+
+    def show(self, observer: RunObserver) -> None:
+        """Let somebody look at it."""
+        if self._seen is not None:
+            observer.on_frame(*self._seen)
+        self._seen = None

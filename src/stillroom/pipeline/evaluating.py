@@ -80,14 +80,14 @@ def evaluate_files(estimate: Path, truth: results.Truth, folder: Path | None, ba
     Raises:
         TrajectoryError: A file cannot be read, or nothing can be compared.
     """
-    trajectories = {path.stem: read_tum(path) for path in (estimate, baseline) if path is not None}
-    own = trajectories[estimate.stem]
+    own = read_tum(estimate)
     evaluation = evaluate(own, truth.as_given, groundtruth_camera=truth.at_camera)
+    trajectories = {estimate.stem: own}
     if baseline is not None:
         other = read_tum(baseline)
-        evaluation = evaluation.against(
-            evaluate(other, truth.as_given, groundtruth_camera=truth.at_camera), str(baseline)
-        )
+        figures = evaluate(other, truth.as_given, groundtruth_camera=truth.at_camera)
+        evaluation = evaluation.against(figures, str(baseline))
+        trajectories[str(baseline)] = other
     if folder is None:
         return Judged(estimate.stem, None, evaluation)
     results.write_metrics(folder, evaluation.n_tracked, None, evaluation, None)

@@ -13,8 +13,8 @@ log = logging.getLogger(__name__)
 LATEST = "latest"
 
 
-def new_folder(root: Path, *names: str) -> Path:
-    """Make `root/<date>_<names…>` and let `root/latest` point to it.
+def new_folder(root: Path, *names: str, latest: bool = True) -> Path:
+    """Make `root/<date>_<names…>` and, where it is a run's, let `root/latest` point to it.
 
     Raises:
         StillroomError: It cannot be made.
@@ -26,7 +26,8 @@ def new_folder(root: Path, *names: str) -> Path:
         folder = _unused(root, stem)
     except OSError as error:
         raise _cannot_make(root, error) from error
-    _point_latest_to(folder)
+    if latest:
+        _point_latest_to(folder)
     return folder
 
 

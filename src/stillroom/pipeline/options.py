@@ -1,11 +1,13 @@
 """What can be asked of a run: which images it is given, and what it does beside tracking."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from stillroom.datasets.open import open_dataset
-from stillroom.datasets.selection import select
+from stillroom.datasets.selection import parse_range, select
+from stillroom.errors import ConfigError
 from stillroom.protocols import Dataset, Segmenter
 
 
@@ -60,3 +62,21 @@ class RunOptions:
     segmenter: Segmenter | None = None
     source: Source | None = None
     asked: dict[str, Any] = field(default_factory=dict)
+
+
+def detector_ranges(texts: Iterable[str], dataset: Dataset) -> tuple[tuple[int, int], ...]:
+    """Read the ranges `a:b` in which the detector is to find nothing: image numbers, first and one past the last.
+
+    Raises:
+        ConfigError: A range is malformed or empty.
+    """
+    length = int(getattr(dataset, "original_length", len(dataset)))
+    ranges = []
+    for text in texts:
+        first, end, step = parse_range(text).indices(length)
+        if step != 1 or first >= end:
+            raise ConfigError(
+                f"detector-off {text}: no such range of images; there are {length}, write it like 300:330"
+            )
+        ranges.append((first, end))
+    return tuple(ranges)

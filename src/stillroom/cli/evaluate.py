@@ -1,0 +1,96 @@
+"""`stillroom evaluate`."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from stillroom.errors import ConfigError
+
+if TYPE_CHECKING:
+    from stillroom.pipeline.results import Truth
+
+DEFAULT_FOLDER = Path("results/latest")
+
+
+def evaluate(
+    folder: Annotated[
+        Path | None, typer.Argument(metavar="FOLDER", help="Results of a run. \\[default: results/latest]")
+    ] = None,
+    estimate: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Any trajectory in the TUM format, instead of a folder.")
+    ] = None,
+    groundtruth: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="The truth to compare the estimate with, in the TUM format.")
+    ] = None,
+    sequence: Annotated[
+        str | None, typer.Option(metavar="SEQUENCE", help="The sequence whose truth it is, instead of a file.")
+    ] = None,
+    baseline: Annotated[
+        Path | None, typer.Option(metavar="PATH", help="Another folder, or file, to tell the improvement over.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Where figures and pictures of an estimate go.")
+    ] = None,
+    json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON; write nothing.")] = False,
+) -> None:
+    """Say how good a trajectory is.
+
+    ATE and RPE against the ground truth, and what a camera that never moved would have. Figures and pictures are
+    written into the folder of the run.
+
+    stillroom evaluate results/latest --baseline results/2026-01-31_12-00_orb-slam2_rgbd_bonn_crowd
+
+    stillroom evaluate --estimate mine.txt --groundtruth groundtruth.txt
+    """
+    from stillroom.cli.output.console import show_log
+    from stillroom.evaluation.metrics_json import to_json
+    from stillroom.pipeline import evaluate_files, evaluate_folder
+    from stillroom.pipeline.folders import chosen_folder, new_folder
+
+    show_log()
+    if estimate is None:
+        _refuse(("--groundtruth", groundtruth), ("--sequence", sequence), ("--out", out))
+        judged = evaluate_folder(folder or DEFAULT_FOLDER, baseline, write=not json)
+    else:
+        if folder is not None:
+            raise ConfigError(f"both {folder} and --estimate {estimate} are given; leave one out")
+        truth = _truth(groundtruth, sequence)
+        place = None
+        if not json:
+            place = (
+                chosen_folder(out) if out else new_folder(Path("results"), "evaluation", estimate.stem, latest=False)
+            )
+        judged = evaluate_files(estimate, truth, place, baseline)
+    if json:
+        typer.echo(to_json(judged.evaluation), nl=False)
+        return
+    from stillroom.cli.output.tables import print_evaluation, print_lines
+
+    print_lines([judged.name])
+    print_evaluation(judged.evaluation)
+    print_lines([f"figures and {len(judged.pictures)} pictures: {judged.folder}"])
+
+
+def _refuse(*options: tuple[str, object]) -> None:
+    for name, value in options:
+        if value is not None:
+            raise ConfigError(f"{name} goes with --estimate; the folder of a run has its own")
+
+
+def _truth(groundtruth: Path | None, sequence: str | None) -> "Truth":
+    from stillroom.data.trajectory import read_tum
+    from stillroom.pipeline import Source
+    from stillroom.pipeline.results import Truth
+
+    if (groundtruth is None) == (sequence is None):
+        raise ConfigError(
+            "--estimate needs the truth to compare with: one of --groundtruth FILE and --sequence SEQUENCE"
+        )
+    if groundtruth is not None:
+        return Truth(read_tum(groundtruth))
+    dataset = Source(str(sequence)).open()
+    truth = Truth.of(dataset)
+    if truth is None:
+        raise ConfigError(f"--sequence {sequence}: it has no ground truth; give a file with --groundtruth")
+    return truth

@@ -1,0 +1,118 @@
+"""The commands of `stillroom`, and what becomes of an error.
+
+Only the module of the command that is asked for is imported: `stillroom --help` answers at once.
+"""
+
+import importlib
+import os
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import typer
+
+from stillroom.errors import StillroomError
+
+INTERRUPTED = 130
+ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+"""numpy's BLAS reads these when it is imported. One thread: results repeat, and the cores are for the stages."""
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command.
+
+    Attributes:
+        name: As typed.
+        place: `module:function`, or `module:app` for a command with commands of its own.
+        summary: For the list of commands; the first line of its help.
+    """
+
+    name: str
+    place: str
+    summary: str
+
+    def load(self) -> Any:
+        """Import the function or app."""
+        module, _, name = self.place.partition(":")
+        return getattr(importlib.import_module(module), name)
+
+
+COMMANDS = (
+    Command("run", "stillroom.cli.run:run", "Track the camera through a sequence."),
+    Command("evaluate", "stillroom.cli.evaluate:evaluate", "Say how good a trajectory is."),
+    Command("methods", "stillroom.cli.methods:methods", "List the methods."),
+    Command("show-config", "stillroom.cli.show_config:show_config", "Print the configuration of a method as TOML."),
+    Command("bench", "stillroom.cli.bench:app", "Measure accuracy over seeds, the worth of rejection, and speed."),
+    Command("download", "stillroom.cli.download:download", "Fetch a data set or the weights of YOLO-Fastest."),
+    Command("warmup", "stillroom.cli.warmup:warmup", "Compile all kernels now, so that the first run starts at once."),
+)
+
+
+def application(chosen: str | None = None) -> typer.Typer:
+    """Return the command line; the commands that are not chosen are there by name only."""
+    app = typer.Typer(
+        name="stillroom",
+        help="RGB-D SLAM for rooms full of people: where the camera was, and a map of what stays.",
+        no_args_is_help=True,
+        add_completion=False,
+        pretty_exceptions_enable=False,
+        rich_markup_mode="rich",
+    )
+    app.callback()(_options)
+    for command in COMMANDS:
+        if command.name != chosen:
+            app.command(command.name, help=command.summary)(_not_loaded)
+            continue
+        loaded = command.load()
+        if isinstance(loaded, typer.Typer):
+            app.add_typer(loaded, name=command.name)
+        else:
+            app.command(command.name)(loaded)
+    return app
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run a command; a known error ends in one red line.
+
+    Raises:
+        SystemExit: Always: 0, 1 after an error, 2 after wrong usage, 130 after Ctrl-C.
+    """
+    for name in ONE_THREAD:
+        os.environ.setdefault(name, "1")
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    chosen = next((word for word in given if not word.startswith("-")), None)
+    try:
+        application(chosen)(args=given, prog_name="stillroom")
+    except StillroomError as error:
+        from stillroom.cli.output.console import print_error
+
+        print_error(str(error))
+        sys.exit(1)
+    except KeyboardInterrupt:
+        sys.exit(INTERRUPTED)
+
+
+def _print_version(asked: bool) -> None:
+    if asked:
+        import stillroom
+
+        typer.echo(f"stillroom {stillroom.__version__}")
+        raise typer.Exit
+
+
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", help="Print the version.", is_eager=True, callback=_print_version)
+    ] = False,
+) -> None:
+    """RGB-D SLAM for rooms full of people: where the camera was, and a map of what stays."""
+
+
+def _not_loaded() -> None:
+    raise AssertionError("this command was not asked for")
+
+
+if __name__ == "__main__":
+    main()

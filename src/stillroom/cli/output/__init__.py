@@ -1,0 +1,1 @@
+"""How commands speak: on stdout what was asked for, on stderr all else."""

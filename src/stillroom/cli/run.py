@@ -1,0 +1,128 @@
+"""`stillroom run`."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from stillroom.cli.arguments import ConfigFile, Method, Seed, Settings
+from stillroom.errors import ConfigError
+
+if TYPE_CHECKING:
+    from stillroom.pipeline import RunOutcome
+
+INTERRUPTED = 130
+SYNTHETIC = "synthetic"
+
+
+class ScheduleName(StrEnum):
+    """When stages run."""
+
+    IN_ORDER = "in-order"
+    LIVE = "live"
+
+
+def run(
+    sequence: Annotated[
+        str, typer.Argument(metavar="SEQUENCE", help="A folder, an archive, a known name, or synthetic:walking.")
+    ],
+    method: Method = None,
+    frames: Annotated[str | None, typer.Option(metavar="A:B", help="Use these frames only, such as 200:560.")] = None,
+    drop: Annotated[
+        list[str] | None, typer.Option(metavar="A:B", help="Take these frames out of the sequence; repeatable.")
+    ] = None,
+    blackout: Annotated[
+        list[str] | None, typer.Option(metavar="A:B", help="Turn these frames black, without depth; repeatable.")
+    ] = None,
+    detector_off: Annotated[
+        list[str] | None, typer.Option(metavar="A:B", help="Let the detector find nothing in these; repeatable.")
+    ] = None,
+    seed: Seed = None,
+    schedule: Annotated[
+        ScheduleName, typer.Option(help="in-order: one thread, the same input gives the same bytes.")
+    ] = ScheduleName.IN_ORDER,
+    camera: Annotated[
+        str | None, typer.Option(metavar="NAME|FILE", help="The calibration, where it is not the sequence's own.")
+    ] = None,
+    fps: Annotated[
+        float | None, typer.Option(metavar="N", help="Frame rate of a plain folder whose file names tell no times.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Write into this new folder. \\[default: a new one in results/]")
+    ] = None,
+    settings: Settings = None,
+    config: ConfigFile = None,
+    pictures: Annotated[int, typer.Option(min=0, metavar="N", help="How many frames to draw; 0: no pictures.")] = 8,
+) -> None:
+    """Track the camera through a sequence.
+
+    Writes trajectory, figures and pictures into a folder in results/; Ctrl-C ends a run early and keeps what there is.
+
+    stillroom run rgbd_bonn_crowd --method oc-slam
+
+    stillroom run synthetic:walking --frames 0:90 --set semantics.kind=truth
+    """
+    if schedule is ScheduleName.LIVE:
+        raise ConfigError("--schedule live is not in this version; leave it out, or say in-order")
+    from stillroom.cli.output.console import STDERR, say, show_log
+    from stillroom.cli.output.progress import RunBar
+    from stillroom.cli.warmup import ensure_warm
+    from stillroom.methods.registry import configure
+    from stillroom.pipeline import RunOptions, Source
+    from stillroom.pipeline import run as run_pipeline
+    from stillroom.pipeline.options import detector_ranges
+
+    show_log()
+    chosen = configure(method, config, settings or (), seed)
+    source = Source(sequence, camera, fps, frames, tuple(drop or ()), tuple(blackout or ()))
+    dataset = source.open()
+    options = RunOptions(
+        folder=out,
+        pictures=pictures,
+        detector_off=detector_ranges(detector_off or (), dataset),
+        segmenter=chosen.semantics.build(),  # now: absent weights are told before kernels are compiled
+        source=source,
+        asked={"schedule": schedule.value},
+    )
+    say(f"{chosen.method} on {dataset.name}: {len(dataset)} images; camera: {dataset.camera_source}")
+    ensure_warm(STDERR, sequence.startswith(SYNTHETIC))
+    outcome = run_pipeline(dataset, chosen, options, RunBar(STDERR))
+    _report(outcome)
+    if outcome.interrupted:
+        raise typer.Exit(INTERRUPTED)
+
+
+def _report(outcome: "RunOutcome") -> None:
+    from stillroom.cli.output.tables import print_evaluation, print_lines
+    from stillroom.evaluation.report_text import percent
+
+    if outcome.evaluation is not None:
+        print_evaluation(outcome.evaluation)
+    else:
+        share = percent(outcome.n_tracked / outcome.n_given if outcome.n_given else None)
+        print_lines(
+            [f"{outcome.n_tracked} of {outcome.n_given} frames tracked ({share}); no ground truth to compare with"]
+        )
+    print_lines(_sentences(outcome))
+
+
+def _sentences(outcome: "RunOutcome") -> list[str]:
+    from stillroom.evaluation.timing import FRAME
+
+    sentences = []
+    if outcome.interrupted:
+        sentences.append(f"stopped after {outcome.n_given} images; the figures are of these")
+    if outcome.n_bad:
+        sentences.append(f"{outcome.n_bad} images could not be read and count as not tracked")
+    world = outcome.slam.map
+    n_points = int(world.points.is_alive.sum())
+    text = f"map: {len(world.alive_keyframes())} keyframes, {n_points} points"
+    cost = next((stage for stage in outcome.clock.summary() if stage.stage == FRAME), None)
+    if cost is not None:
+        rate = 1000.0 / cost.wall_mean_ms
+        text += f"; a frame took {cost.wall_median_ms:.1f} ms (median), {rate:.1f} frames/s on average"
+    sentences.append(text)
+    if outcome.folder is not None:
+        sentences.append(f"results: {outcome.folder}")
+    return sentences

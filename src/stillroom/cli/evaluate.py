@@ -69,7 +69,14 @@ def evaluate(
 
     print_lines([judged.name])
     print_evaluation(judged.evaluation)
-    print_lines([f"figures and {len(judged.pictures)} pictures: {judged.folder}"])
+    print_lines([f"figures and {len(judged.pictures)} pictures: {_shown(judged.folder)}"])
+
+
+def _shown(folder: Path | None) -> str:
+    """Return a folder as seen from here."""
+    if folder is not None and folder.is_relative_to(Path.cwd()):
+        folder = folder.relative_to(Path.cwd())
+    return str(folder)
 
 
 def _refuse(*options: tuple[str, object]) -> None:

@@ -19,7 +19,6 @@ class RunOutcome:
         clock: What the stages cost.
         evaluation: Its figures; None without ground truth, or with a trajectory that cannot be compared to it.
         n_given: Images that the run was given, those that cannot be read among them.
-        n_bad: Images that cannot be read.
         interrupted: Whether it was stopped before the last image.
         bad: Number and time [s] of each image that cannot be read.
         pictures: What was drawn.
@@ -31,10 +30,14 @@ class RunOutcome:
     clock: StageClock
     evaluation: Evaluation | None = None
     n_given: int = 0
-    n_bad: int = 0
     interrupted: bool = False
     bad: list[tuple[int, float]] = field(default_factory=list)
     pictures: tuple[Path, ...] = ()
+
+    @property
+    def n_bad(self) -> int:
+        """Images that cannot be read."""
+        return len(self.bad)
 
     @property
     def n_tracked(self) -> int:

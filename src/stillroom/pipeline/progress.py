@@ -1,8 +1,16 @@
-"""Who is told how a run gets on."""
+"""Who is told how a run gets on, and what the log says of it."""
 
+import logging
 from typing import Protocol
 
-from stillroom.data.result import FrameResult
+from stillroom.data.image import RgbdImage
+from stillroom.data.result import FrameResult, TrackingState
+from stillroom.errors import FrameError
+
+log = logging.getLogger(__name__)
+
+MAX_UNREADABLE = 10
+BLACK_BELOW = 8
 
 
 class Progress(Protocol):
@@ -32,3 +40,35 @@ class Silent:
 
 
 SILENT = Silent()
+
+
+class Remarks:
+    """Puts into the log what is odd about a run: one line when it begins, not one for every frame that it lasts."""
+
+    def __init__(self) -> None:
+        self._n_unreadable = 0
+        self._odd: dict[str, bool] = {}
+
+    def unreadable(self, number: int, error: FrameError) -> None:
+        """Remark that an image cannot be read."""
+        self._n_unreadable += 1
+        if self._n_unreadable <= MAX_UNREADABLE:
+            log.warning("image %d is left out: %s", number, error)
+        if self._n_unreadable == MAX_UNREADABLE:
+            log.warning("further images that cannot be read are left out without a word")
+
+    def frame(self, image: RgbdImage, result: FrameResult) -> None:
+        """Remark what is odd about an image, and where tracking is lost and found."""
+        is_black = int(image.rgb.max()) < BLACK_BELOW
+        self._begins("black", is_black, "image %d is black", image.index)
+        no_depth = not is_black and not image.depth_m.any()
+        self._begins("no depth", no_depth, "image %d has no depth anywhere", image.index)
+        was_lost = self._odd.get("lost", False)
+        self._begins("lost", result.state is TrackingState.LOST, "tracking is lost at image %d", image.index)
+        if was_lost and result.state is TrackingState.OK:
+            log.warning("tracking goes on at image %d", image.index)
+
+    def _begins(self, what: str, is_so: bool, message: str, number: int) -> None:
+        if is_so and not self._odd.get(what, False):
+            log.warning(message, number)
+        self._odd[what] = is_so

@@ -16,7 +16,8 @@ pictures/                trajectories, errors, and frames with their verdicts
 
 import csv
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,7 @@ from stillroom.config import SlamConfig, to_toml
 from stillroom.data.result import FrameResult
 from stillroom.data.trajectory import Trajectory, read_tum
 from stillroom.datasets.bonn import CAMERA, MARKER, camera_groundtruth
+from stillroom.errors import StillroomError
 from stillroom.evaluation.metrics_json import to_json
 from stillroom.evaluation.report import Evaluation
 from stillroom.evaluation.timing import FRAME, peak_memory_mb
@@ -73,24 +75,35 @@ class Truth:
             self.at_camera.write_tum(folder / TRUTH_CAMERA)
 
 
+@contextmanager
+def writing_to(folder: Path) -> Iterator[None]:
+    """Turn a full disk and the like into one line."""
+    try:
+        yield
+    except OSError as error:
+        raise StillroomError(f"{error.filename or folder}: cannot be written ({error.strerror})") from error
+
+
 def write_config(folder: Path, dataset: Dataset, config: SlamConfig, options: RunOptions) -> None:
     """Write the effective config and how the run comes about, before it begins."""
     source = {} if options.source is None else {"source": asdict(options.source)}
     off = [f"{first}:{end}" for first, end in options.detector_off]
     how = {"name": dataset.name, "camera_source": dataset.camera_source, "detector_off": off, **options.asked}
-    (folder / CONFIG).write_text(to_toml(config, provenance() | how | source), encoding="utf-8")
+    with writing_to(folder):
+        (folder / CONFIG).write_text(to_toml(config, provenance() | how | source), encoding="utf-8")
 
 
 def write_results(folder: Path, outcome: RunOutcome, truth: Truth | None) -> None:
     """Write everything that a run came to; the trajectories first."""
     slam = outcome.slam
-    slam.trajectory().write_tum(folder / FINAL)
-    slam.online_trajectory().write_tum(folder / ONLINE)
-    slam.keyframe_trajectory().write_tum(folder / KEYFRAMES)
-    _write_frames(folder / FRAMES, slam.results, outcome.bad)
-    outcome.clock.write_csv(folder / TIMING)
-    if truth is not None:
-        truth.write(folder)
+    with writing_to(folder):
+        slam.trajectory().write_tum(folder / FINAL)
+        slam.online_trajectory().write_tum(folder / ONLINE)
+        slam.keyframe_trajectory().write_tum(folder / KEYFRAMES)
+        _write_frames(folder / FRAMES, slam.results, outcome.bad)
+        outcome.clock.write_csv(folder / TIMING)
+        if truth is not None:
+            truth.write(folder)
     write_metrics(folder, outcome.n_tracked, outcome.n_given, outcome.evaluation, _run_figures(outcome))
 
 
@@ -105,7 +118,8 @@ def write_metrics(
         figures = {"n_tracked": n_tracked, "n_given": n_given, "coverage": coverage, "as_given": None}
     if run is not None:
         figures["run"] = run
-    (folder / METRICS).write_text(json.dumps(figures, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    with writing_to(folder):
+        (folder / METRICS).write_text(json.dumps(figures, indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def read_run_figures(folder: Path) -> dict[str, Any] | None:

@@ -1,6 +1,5 @@
 """Run a method over a sequence."""
 
-import logging
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -20,7 +19,7 @@ from stillroom.pipeline.evaluating import evaluate_trajectory
 from stillroom.pipeline.options import RunOptions
 from stillroom.pipeline.outcome import RunOutcome
 from stillroom.pipeline.plots import draw_plots
-from stillroom.pipeline.progress import SILENT, Progress
+from stillroom.pipeline.progress import SILENT, Progress, Remarks
 from stillroom.pipeline.stop_request import StopRequest
 from stillroom.protocols import Dataset, RunObserver
 from stillroom.semantics.detector_off import withhold
@@ -28,9 +27,6 @@ from stillroom.system import build
 from stillroom.viz.nothing import Nothing
 from stillroom.viz.recorder import PictureRecorderConfig
 
-log = logging.getLogger(__name__)
-
-MAX_WARNINGS = 10
 LOADING = "loading"
 SWITCH_INTERVAL_S = 0.0005
 
@@ -85,7 +81,7 @@ def _settle(seed: int) -> None:
 def _track_all(
     dataset: Dataset, outcome: RunOutcome, newest: "_Newest", recorder: RunObserver, progress: Progress
 ) -> None:
-    slam, clock = outcome.slam, outcome.clock
+    slam, clock, remarks = outcome.slam, outcome.clock, Remarks()
     with StopRequest() as stop:
         for place in range(len(dataset)):
             if stop.asked:
@@ -96,12 +92,15 @@ def _track_all(
                 with clock.stage(LOADING):
                     image = dataset.load(place)
             except FrameError as error:
-                _note_bad(dataset, place, error, outcome)
+                number = int(original_numbers(dataset)[place])
+                outcome.bad.append((number, float(dataset.timestamps_s[place])))
+                remarks.unreadable(number, error)
                 progress.frame(None)
                 continue
             with clock.stage(FRAME):
                 result = slam.process(image)
             clock.next_frame(image.index)
+            remarks.frame(image, result)
             newest.show(recorder)
             progress.frame(result)
 
@@ -129,15 +128,6 @@ def _conclude(outcome: RunOutcome, dataset: Dataset, with_plots: bool) -> None:
         title = f"{outcome.method} on {dataset.name}"
         draw_plots(folder / results.PICTURES, {outcome.method: trajectory}, truth.as_given, title)
     outcome.pictures = tuple(sorted((folder / results.PICTURES).glob("*.png")))
-
-
-def _note_bad(dataset: Dataset, place: int, error: FrameError, outcome: RunOutcome) -> None:
-    outcome.n_bad += 1
-    outcome.bad.append((int(original_numbers(dataset)[place]), float(dataset.timestamps_s[place])))
-    if outcome.n_bad <= MAX_WARNINGS:
-        log.warning("image left out: %s", error)
-    if outcome.n_bad == MAX_WARNINGS:
-        log.warning("further images that cannot be read are left out without a word")
 
 
 def _folder(dataset: Dataset, config: SlamConfig, options: RunOptions) -> Path | None:

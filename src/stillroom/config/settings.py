@@ -123,19 +123,21 @@ def _updated(config: Any, values: Mapping[str, Any], path: tuple[str, ...]) -> A
         name = ".".join((*path, key))
         if key not in fields:
             raise ConfigError(f"unknown key '{name}'; did you mean '{_nearest(config, name, path)}'?")
-        present = getattr(config, key)
+        present, kinds = getattr(config, key), _kinds(fields[key])
         if not dataclasses.is_dataclass(present):
+            if isinstance(value, Mapping):
+                raise ConfigError(f"'{name}' is a value, not a section: it has no key '{next(iter(value), '')}'")
             changes[key] = convert(value, hints[key], name)
             continue
-        if not isinstance(value, Mapping):
+        section = value.read() if isinstance(value, Written) else value
+        if not isinstance(section, Mapping):
             raise ConfigError(
-                f"'{name}' is a section; set one of its keys, such as '{_keys(present, (*path, key))[0]}'"
+                f"'{name}' is a section; set one of its keys, such as '{_first_key(present, kinds, name)}'"
             )
-        kinds = _kinds(fields[key])
         if kinds is None:
-            changes[key] = _updated(present, value, (*path, key))
+            changes[key] = _updated(present, section, (*path, key))
         else:
-            changes[key] = _plugged(kinds, present, value, (*path, key))
+            changes[key] = _plugged(kinds, present, section, (*path, key))
     return dataclasses.replace(config, **changes)
 
 
@@ -169,6 +171,10 @@ def _keys(config: Any, path: tuple[str, ...]) -> list[str]:
         else:
             names.append(".".join(own))
     return names
+
+
+def _first_key(section: Any, kinds: Kinds | None, name: str) -> str:
+    return f"{name}.{KIND}" if kinds is not None else _keys(section, (name,))[0]
 
 
 def _nearest(config: Any, wrong: str, path: tuple[str, ...]) -> str:

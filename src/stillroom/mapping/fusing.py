@@ -13,7 +13,7 @@ _WINDOW_PX = 3.0
 _CHI2_2D, _CHI2_3D = 5.99, 7.8
 
 
-def neighbourhood(keyframe: int, world: Map, n_first: int = 10, n_second: int = 5) -> list[int]:
+def neighbourhood(keyframe: int, world: Map, n_first: int = 10, n_second: int = 2) -> list[int]:
     """Return covisible keyframes and a few of theirs, each once, in a fixed order."""
     chosen: dict[int, None] = {}
     for neighbour in world.covisibility.neighbours(keyframe, n_first):

@@ -26,7 +26,7 @@ class LocalMapperConfig:
     """
 
     th_depth: float = 40.0
-    n_neighbours: int = 10
+    n_neighbours: int = 5
     max_bundle_keyframes: int = 20
     cull_keyframes: bool = True
     bundle: BundleConfig = field(default_factory=BundleConfig)

@@ -14,7 +14,7 @@ class KeyframePolicyConfig:
 
     Differs from ORB-SLAM2: the share is taken of all points that the reference keyframe sees, not of those that other
     keyframes see too. Right after a keyframe the latter are few, and the next keyframe comes too late when the camera
-    turns fast (freiburg1_rpy: relative error 0.054 m/s with ORB-SLAM2's count and 0.039 m/s with this one).
+    turns fast (freiburg1_rpy: relative error 0.053 to 0.056 m/s with ORB-SLAM2's count, 0.037 to 0.042 m/s with this one).
 
     Attributes:
         min_gap: Frames between keyframes, at least; one is enough when close points are needed.
@@ -25,7 +25,7 @@ class KeyframePolicyConfig:
         min_inliers: Below this the pose is too weak to build on.
     """
 
-    min_gap: int = 2
+    min_gap: int = 3
     quiet_after_recovery: int = 30
     th_depth: float = 40.0
     min_tracked_close: int = 100

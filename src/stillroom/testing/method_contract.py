@@ -1,0 +1,168 @@
+"""What every `Method` must keep.
+
+In a test of your own::
+
+    from stillroom.testing.method_contract import check_method
+
+    def test_my_method():
+        check_method(METHOD, open_dataset("synthetic:walking,frames=30"))
+"""
+
+import tomllib
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from stillroom.config import SlamConfig, to_toml, updated
+from stillroom.data.image import RgbdImage
+from stillroom.data.result import FrameResult, TrackingState
+from stillroom.data.semantics import nothing
+from stillroom.data.trajectory import Trajectory
+from stillroom.geometry.arrays import F64
+from stillroom.methods.method import Method
+from stillroom.protocols import Dataset, Segmenter
+from stillroom.system import Slam, build
+
+DARK_FRAMES = 2
+
+
+def check_method(method: Method, dataset: Dataset, segmenter: Callable[[], Segmenter] | None = None) -> Slam:
+    """Make sure that a method keeps what all methods promise.
+
+    Args:
+        method: The method.
+        dataset: A short sequence, some 30 frames, in which the camera can be tracked.
+        segmenter: Builds what stands in for the method's own segmenter, such as one without weights; a fresh one each
+            time.
+
+    Returns:
+        The system after a run, for what else a test wants to know.
+
+    Raises:
+        AssertionError: A promise is broken; the message says which.
+    """
+    _check_description(method)
+    config = method.config
+    images = [dataset.load(place) for place in range(len(dataset))]
+
+    def fresh(config: SlamConfig) -> Slam:
+        return build(config, dataset.camera, segmenter() if segmenter else None)
+
+    slam = _run(fresh(config), images)
+    _check_results(slam, images)
+    _check_trajectories(slam)
+    assert any(result.state is TrackingState.OK for result in slam.results[1:]), "nothing of the sequence is tracked"
+    _check_same(slam, _run(fresh(config), images), "the same input and seed give another trajectory")
+    _run(fresh(replace(config, seed=config.seed + 1)), images[:5])
+    _check_darkness(fresh(config), images)
+    _check_empty(fresh(config), images[0])
+    return slam
+
+
+def _check_description(method: Method) -> None:
+    assert method.name == method.config.method, f"'{method.name}' has a config of '{method.config.method}'"
+    assert method.name == method.name.lower().strip(), f"'{method.name}' must be lower case: it is typed"
+    assert "/" not in method.name, f"'{method.name}' has a slash; the results folder is called by it"
+    assert " " not in method.name, f"'{method.name}' has a space; it is typed"
+    assert method.summary, "no summary"
+    assert "\n" not in method.summary, "the summary has more than one line"
+    again = updated(SlamConfig(), tomllib.loads(to_toml(method.config)))
+    assert again == method.config, "the config written as TOML and read again is another one"
+
+
+def _run(slam: Slam, images: Sequence[RgbdImage]) -> Slam:
+    for image in images:
+        result = slam.process(image)
+        assert result is slam.results[-1], f"image {image.index}: what process returns is not kept"
+    slam.close()
+    return slam
+
+
+def _check_results(slam: Slam, images: Sequence[RgbdImage]) -> None:
+    assert len(slam.results) == len(images), f"{len(images)} images, {len(slam.results)} results"
+    for image, result in zip(images, slam.results, strict=True):
+        where = f"image {image.index}"
+        assert result.index == image.index, f"{where} is numbered {result.index} in the results"
+        assert result.timestamp_s == image.timestamp_s, f"{where} has another time in the results"
+        has_pose = result.T_world_cam is not None
+        assert has_pose == (result.state is TrackingState.OK), f"{where}: {result.state.value}, pose: {has_pose}"
+        assert has_pose == (result.T_reference_cam is not None), f"{where}: only one of its two poses is there"
+        _check_pose(result.T_world_cam, where)
+        _check_pose(result.T_reference_cam, where)
+        assert 0 <= result.n_inliers <= result.n_keypoints, f"{where}: {result.n_inliers} of {result.n_keypoints}"
+        assert 0 <= result.n_static <= result.n_keypoints, f"{where}: {result.n_static} of {result.n_keypoints}"
+        assert has_pose or not result.is_keyframe, f"{where}: a keyframe without a pose"
+    assert slam.results[-1].n_keyframes == len(slam.map.alive_keyframes()), "keyframes are counted wrongly"
+
+
+def _check_pose(pose: F64 | None, where: str) -> None:
+    if pose is None:
+        return
+    assert pose.shape == (4, 4), f"{where}: a pose is {pose.shape}"
+    assert np.all(np.isfinite(pose)), f"{where}: a pose is not finite"
+    R = pose[:3, :3]
+    assert np.allclose(R @ R.T, np.eye(3), atol=1e-6), f"{where}: the rotation of a pose is none"
+    assert np.linalg.det(R) > 0, f"{where}: the rotation of a pose mirrors"
+    assert np.array_equal(pose[3], [0.0, 0.0, 0.0, 1.0]), f"{where}: the last row of a pose is {pose[3]}"
+
+
+def _check_trajectories(slam: Slam) -> None:
+    tracked_s = [result.timestamp_s for result in slam.results if result.T_world_cam is not None]
+    for name, trajectory in (("final", slam.trajectory()), ("online", slam.online_trajectory())):
+        assert trajectory.timestamps_s.tolist() == tracked_s, f"the {name} trajectory is not that of the tracked frames"
+        _check_trajectory(trajectory, name)
+    _check_trajectory(slam.keyframe_trajectory(), "keyframes'")
+    assert len(slam.keyframe_trajectory()) == len(slam.map.alive_keyframes()), "keyframes are missing"
+
+
+def _check_trajectory(trajectory: Trajectory, name: str) -> None:
+    assert np.all(np.diff(trajectory.timestamps_s) > 0), f"times of the {name} trajectory do not increase"
+    for row, pose in enumerate(trajectory.T_world_cam):
+        _check_pose(pose, f"{name} trajectory, pose {row}")
+
+
+def _check_same(one: Slam, other: Slam, problem: str) -> None:
+    for mine, theirs in ((one.trajectory(), other.trajectory()), (one.online_trajectory(), other.online_trajectory())):
+        assert mine.timestamps_s.tobytes() == theirs.timestamps_s.tobytes(), problem
+        assert mine.T_world_cam.tobytes() == theirs.T_world_cam.tobytes(), problem
+    assert [_counts(result) for result in one.results] == [_counts(result) for result in other.results], problem
+
+
+def _counts(result: FrameResult) -> tuple[int, ...]:
+    return result.n_keypoints, result.n_static, result.n_inliers, result.n_keyframes
+
+
+def _check_darkness(slam: Slam, images: Sequence[RgbdImage]) -> None:
+    """Cover the lens in the middle, and let depth fail once."""
+    middle = len(images) // 2
+    changed = list(images)
+    for place in range(middle, min(middle + DARK_FRAMES, len(images))):
+        changed[place] = _dark(images[place])
+    blind = middle + 2 * DARK_FRAMES
+    if blind < len(images):
+        changed[blind] = _blind(images[blind])
+    _run(slam, changed)
+    _check_results(slam, changed)
+    _check_trajectories(slam)
+    dark = slam.results[middle]
+    assert dark.T_world_cam is None, "a black image has a pose"
+    if slam.results[middle - 1].state is TrackingState.OK:
+        assert dark.state is TrackingState.LOST, f"a black image in the middle is '{dark.state.value}', not lost"
+
+
+def _check_empty(slam: Slam, image: RgbdImage) -> None:
+    """Begin with a black image: there is no map yet, so there is nothing to be lost in."""
+    slam.process(_dark(image))
+    assert slam.results[-1].state is TrackingState.NOT_INITIALIZED, "a black first image must not begin a map"
+    for name, trajectory in (("final", slam.trajectory()), ("keyframes'", slam.keyframe_trajectory())):
+        assert trajectory.T_world_cam.shape == (0, 4, 4), f"the {name} trajectory of nothing has poses"
+
+
+def _dark(image: RgbdImage) -> RgbdImage:
+    truth = None if image.truth is None else nothing(image.height, image.width)
+    return _blind(replace(image, rgb=np.zeros_like(image.rgb), truth=truth))
+
+
+def _blind(image: RgbdImage) -> RgbdImage:
+    return replace(image, depth_m=np.zeros_like(image.depth_m))

@@ -1,0 +1,80 @@
+"""Every method of the house keeps the contract, on the synthetic room and on real frames."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stillroom.config import SlamConfig
+from stillroom.datasets.open import open_dataset
+from stillroom.datasets.selection import select
+from stillroom.evaluation.ate import ate
+from stillroom.methods.method import Method
+from stillroom.methods.registry import OWN
+from stillroom.protocols import Dataset, Segmenter
+from stillroom.semantics.nothing import NothingConfig
+from stillroom.semantics.truth import TruthConfig
+from stillroom.testing.method_contract import check_method
+
+
+@pytest.fixture(scope="module")
+def room() -> Dataset:
+    return open_dataset("synthetic:walking,frames=30")
+
+
+def stand_in(method: Method) -> Callable[[], Segmenter]:
+    """The renderer's boxes for a method that has a detector: no weights are needed."""
+    return NothingConfig().build if isinstance(method.config.semantics, NothingConfig) else TruthConfig().build
+
+
+@pytest.mark.parametrize("method", OWN, ids=lambda method: method.name)
+def test_method_keeps_its_promises_in_the_synthetic_room(method: Method, room: Dataset) -> None:
+    slam = check_method(method, room, stand_in(method))
+    assert all(result.T_world_cam is not None for result in slam.results)
+    assert room.groundtruth is not None
+    error = ate(slam.trajectory(), room.groundtruth)
+    # In one second in which hardly anything is hidden, any of them tracks well.
+    assert error.se3_m.rmse < 0.25 * error.still_camera_m
+
+
+@pytest.mark.parametrize("method", OWN, ids=lambda method: method.name)
+def test_method_keeps_its_promises_on_real_frames(method: Method, bonn: Path, yolo_weights: Path) -> None:
+    overrides = {} if isinstance(method.config.semantics, NothingConfig) else {"folder": str(yolo_weights)}
+    config = replace(method.config, semantics=replace(method.config.semantics, **overrides))  # type: ignore[type-var]
+    check_method(replace(method, config=config), select(open_dataset(str(bonn)), "230:255"))
+
+
+def good(room: Dataset) -> Method:
+    return Method("orb-slam2", "a method", SlamConfig())
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda method: replace(method, name="other"), "'other' has a config of 'orb-slam2'"),
+        (lambda method: replace(method, summary="two\nlines"), "more than one line"),
+        (lambda method: replace(method, summary=""), "no summary"),
+    ],
+)
+def test_the_contract_sees_a_wrong_description(room: Dataset, spoil: Callable[[Method], Method], message: str) -> None:
+    with pytest.raises(AssertionError, match=message):
+        check_method(spoil(good(room)), room)
+
+
+def test_the_contract_sees_chance(room: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A pose that depends on what was drawn by lot elsewhere breaks it."""
+    from stillroom.system import Slam
+
+    honest, generator = Slam.process, np.random.default_rng()
+
+    def process(slam: Slam, image: object) -> object:
+        result = honest(slam, image)  # type: ignore[arg-type]
+        if result.T_world_cam is not None:
+            result.T_world_cam[0, 3] += generator.normal(0.0, 1e-12)
+        return result
+
+    monkeypatch.setattr(Slam, "process", process)
+    with pytest.raises(AssertionError, match="same input and seed"):
+        check_method(good(room), select(room, ":8"))

@@ -32,7 +32,8 @@ LEVELS = {
     "pipeline": 8,
     "warmup": 8,
     "testing": 8,
-    "cli": 9,
+    "benchmark": 9,
+    "cli": 10,
 }
 FREE_TO_ALL = {"errors", "__init__"}
 MAX_FILE_LINES = 400

@@ -7,6 +7,8 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, DownloadColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
+from stillroom.cli.output.console import STDERR, say
+from stillroom.cli.output.tables import print_lines
 from stillroom.data.locations import data_home, models_home
 from stillroom.download import OFFICIAL
 from stillroom.download import download as fetch_target
@@ -27,8 +29,9 @@ def download(
 ) -> None:
     """Fetch a data set or the weights of YOLO-Fastest.
 
-    An interrupted download goes on where it broke off; checksums are compared where they are known. Names are those of
-    the data sets, with or without their prefix:
+    An interrupted download goes on where it broke off. Checksums are compared where they are known.
+
+    Names are those of the data sets, with or without their prefix:
 
     stillroom download models
 
@@ -36,18 +39,17 @@ def download(
 
     stillroom download tum/freiburg3_walking_xyz
     """
-    console = Console()
     models = target == "models"
     folder = to if to is not None else models_home() if models else data_home()
     try:
-        with _Bars(console) as bars:
+        with _Bars(STDERR) as bars:
             place = fetch_target(target, folder, bars, OFFICIAL)
     except KeyboardInterrupt:
-        console.print("stopped; what has come is kept, the same command goes on from there")
+        say("stopped; what has come is kept, the same command goes on from there")
         raise typer.Exit(INTERRUPTED) from None
-    console.print(f"{place}", highlight=False, soft_wrap=True)
+    print_lines([str(place)])
     if not models:
-        console.print(f"next: stillroom run {place} --method oc-slam", highlight=False, soft_wrap=True)
+        say(f"next: stillroom run {place} --method oc-slam")
 
 
 class _Bars(Progress):

@@ -3,6 +3,8 @@
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+from stillroom.cli.output.console import STDERR
+from stillroom.cli.output.tables import print_lines
 from stillroom.errors import WeightsError
 from stillroom.semantics.yolo_fastest import YoloFastestConfig
 from stillroom.warmup import WarmUp, is_warm, kernel_cache, warm_up
@@ -14,13 +16,15 @@ def warmup() -> None:
     Takes a minute or two, once: the machine code is kept in the user's cache. YOLO-Fastest is made ready too where its
     weights are at hand.
     """
-    console = Console()
-    done = with_progress(console, renderer=True)
+    done = with_progress(STDERR, renderer=True)
     origin = f"{done.n_compiled} of them compiled" if done.n_compiled else "all from the cache"
-    console.print(f"{done.n_kernels} kernels ready in {done.seconds:.1f} s, {origin}", highlight=False)
-    place = kernel_cache() or "beside the sources, in __pycache__"
-    console.print(f"kept in {place}", highlight=False, soft_wrap=True)
-    console.print(_detector(), highlight=False, soft_wrap=True)
+    print_lines(
+        [
+            f"{done.n_kernels} kernels ready in {done.seconds:.1f} s, {origin}",
+            f"kept in {kernel_cache() or 'the folders of the sources, __pycache__'}",
+            _detector(),
+        ]
+    )
 
 
 def ensure_warm(console: Console, renderer: bool = False) -> None:
@@ -38,7 +42,7 @@ def with_progress(console: Console, renderer: bool) -> WarmUp:
     """Compile or load the kernels and show how far it is."""
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     if not console.is_terminal:
-        console.print("compiling kernels, once for this machine: a minute or two …")
+        console.print("loading kernels; those not compiled yet are, which takes a minute or two, once …")
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task("loading kernels", total=None)
 

@@ -15,7 +15,7 @@ def print_table(header: Sequence[str], table: Iterable[Sequence[str]], n_words: 
     """Print rows; the first columns hold words, the others numbers."""
     shown = Table(box=SIMPLE_HEAD, pad_edge=False)
     for place, name in enumerate(header):
-        shown.add_column(name, justify="left" if place < n_words else "right", overflow="fold")
+        shown.add_column(escape(name), justify="left" if place < n_words else "right", overflow="fold")
     for row in table:
         shown.add_row(*(escape(cell) for cell in row))
     STDOUT.print(shown)

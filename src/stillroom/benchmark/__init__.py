@@ -1,0 +1,1 @@
+"""How good, how fast, and whether the sieve earns its place: the logic behind `stillroom bench`."""

@@ -1,0 +1,129 @@
+"""One run of a method on a sequence, kept for its figures only."""
+
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+from stillroom.config import SlamConfig
+from stillroom.data.image import RgbdImage
+from stillroom.data.result import FrameResult
+from stillroom.data.semantics import Semantics
+from stillroom.evaluation.report import Evaluation
+from stillroom.evaluation.report_text import percent
+from stillroom.evaluation.timing import StageClock
+from stillroom.pipeline import SILENT, Progress, RunOptions, run
+from stillroom.protocols import Dataset, Segmenter
+
+
+@dataclass(frozen=True)
+class BoxedFrames:
+    """The frames in which something may move, on average.
+
+    Attributes:
+        n_frames: How many there were.
+        keypoints, static, inliers: Keypoints found, judged static, and agreeing with the pose, per such frame.
+    """
+
+    n_frames: int
+    keypoints: float
+    static: float
+    inliers: float
+
+    @property
+    def static_share(self) -> float:
+        """Share of the keypoints that were judged static, 0 to 1."""
+        return self.static / self.keypoints if self.keypoints else 0.0
+
+
+@dataclass(frozen=True)
+class Trial:
+    """The figures of one run.
+
+    Attributes:
+        seed: Where its random choices started.
+        n_given, n_tracked: Frames given, and frames with a pose.
+        evaluation: Figures against the ground truth; None where there is none, or nothing to compare.
+        boxed: The frames in which something may move; None where there was none.
+        clock: What the stages cost.
+    """
+
+    seed: int
+    n_given: int
+    n_tracked: int
+    evaluation: Evaluation | None
+    boxed: BoxedFrames | None
+    clock: StageClock
+
+    @property
+    def coverage(self) -> float:
+        """Share of the given frames that have a pose, 0 to 1."""
+        return self.n_tracked / self.n_given if self.n_given else 0.0
+
+    @property
+    def ate_m(self) -> float | None:
+        """ATE RMSE after SE(3) alignment, ground truth as given [m]."""
+        return None if self.evaluation is None else self.evaluation.as_given.ate_se3_m.rmse
+
+    @property
+    def rpe(self) -> tuple[float, float] | None:
+        """RPE RMSE over 1 s: translation [m/s] and rotation [deg/s]."""
+        found = None if self.evaluation is None else self.evaluation.for_rpe.rpe_1s
+        return None if found is None else (found.translation_m.rmse, found.rotation_deg.rmse)
+
+    def line(self) -> str:
+        """Return the run in one line."""
+        tracked = f"{percent(self.coverage)} of {self.n_given} frames tracked"
+        return f"seed {self.seed}: {tracked}" + ("" if self.ate_m is None else f", ATE {self.ate_m:.4f} m")
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the figures for a JSON file."""
+        return {
+            "seed": self.seed,
+            "n_given": self.n_given,
+            "n_tracked": self.n_tracked,
+            "coverage": self.coverage,
+            "boxed_frames": None if self.boxed is None else asdict(self.boxed),
+            "evaluation": None if self.evaluation is None else asdict(self.evaluation),
+        }
+
+
+def attempt(dataset: Dataset, config: SlamConfig, seed: int, progress: Progress = SILENT) -> Trial:
+    """Run a method over a sequence from a seed, and write nothing.
+
+    Raises:
+        KeyboardInterrupt: The user stopped it: half a run has no figures to compare.
+        StillroomError: Something that the run needs is wrong.
+    """
+    noting = NotingSegmenter(config.semantics.build())
+    options = RunOptions(root=None, pictures=0, segmenter=noting)
+    outcome = run(dataset, replace(config, seed=seed), options, progress)
+    if outcome.interrupted:
+        raise KeyboardInterrupt
+    boxed = [result for result in outcome.slam.results if result.index in noting.occupied]
+    return Trial(seed, outcome.n_given, outcome.n_tracked, outcome.evaluation, _averaged(boxed), outcome.clock)
+
+
+class NotingSegmenter:
+    """Passes another segmenter's answers on and notes in which images something may move."""
+
+    def __init__(self, inner: Segmenter) -> None:
+        self._inner = inner
+        self.occupied: set[int] = set()
+
+    def __call__(self, image: RgbdImage) -> Semantics:
+        """Return the other's answer."""
+        semantics = self._inner(image)
+        if semantics.has_any:
+            self.occupied.add(image.index)
+        return semantics
+
+
+def _averaged(results: list[FrameResult]) -> BoxedFrames | None:
+    if not results:
+        return None
+    n = len(results)
+    return BoxedFrames(
+        n_frames=n,
+        keypoints=sum(result.n_keypoints for result in results) / n,
+        static=sum(result.n_static for result in results) / n,
+        inliers=sum(result.n_inliers for result in results) / n,
+    )

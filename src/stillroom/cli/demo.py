@@ -1,0 +1,134 @@
+"""`stillroom demo`: what the package is for, in a few minutes and without any data."""
+
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from stillroom.cli.output.console import STDERR, say, show_log
+from stillroom.cli.output.frame_bar import FrameBar
+from stillroom.cli.output.tables import print_lines, print_table
+from stillroom.cli.warmup import ensure_warm
+from stillroom.config import SlamConfig
+from stillroom.errors import WeightsError
+from stillroom.evaluation.report import Evaluation
+from stillroom.evaluation.report_text import percent
+from stillroom.evaluation.statistics import improvement_percent
+from stillroom.methods.registry import configure
+from stillroom.pipeline import RunOptions, RunOutcome, Source, run
+from stillroom.pipeline.plots import draw_plots
+from stillroom.pipeline.results import PICTURES
+from stillroom.protocols import Dataset
+from stillroom.semantics.truth import TruthConfig
+from stillroom.semantics.yolo_fastest import find_folder
+
+ROOM = "synthetic:walking"
+BASELINE, METHOD = "orb-slam2", "oc-slam"
+N_PICTURES = 4
+INTERRUPTED = 130
+HEADER = ("method", "ATE [m]", "of a still camera's", "frames tracked", "improvement")
+
+
+def demo(
+    out: Annotated[
+        Path, typer.Option(metavar="DIR", help="Where the results folders are made.", file_okay=False)
+    ] = Path("results"),
+    frames: Annotated[
+        str | None, typer.Option(metavar="A:B", help="Use these of the room's 270 frames only, for a shorter demo.")
+    ] = None,
+) -> None:
+    """Track a camera through a rendered room with people in it, by orb-slam2 and by oc-slam, and compare the two.
+
+    Needs no data. The first time it also compiles the kernels, which takes a minute or two.
+    """
+    start_s = time.monotonic()
+    show_log()
+    source = Source(ROOM, frames=frames)
+    dataset = source.open()
+    ensure_warm(STDERR, renderer=True)
+    config, detector = _with_detector(configure(METHOD))
+    print_lines([f"detector: {detector}"])
+    bar = FrameBar(STDERR)
+    _render(dataset, bar)
+    outcomes = [
+        _track(dataset, each, RunOptions(out, None, N_PICTURES, source=source), bar)
+        for each in (configure(BASELINE), config)
+    ]
+    _print_comparison(dataset, *outcomes)
+    _print_pictures(_compared(dataset, *outcomes), *outcomes)
+    say(f"all in {time.monotonic() - start_s:.0f} s; try the same on your own: stillroom run --help")
+
+
+def _with_detector(config: SlamConfig) -> tuple[SlamConfig, str]:
+    """Return the config with a detector that is at hand, and which one that is."""
+    try:
+        config.semantics.build()
+    except WeightsError as error:
+        return replace(config, semantics=TruthConfig()), f"the renderer's own boxes, because {error}"
+    return config, f"YOLO-Fastest, its weights from {find_folder()}"
+
+
+def _render(dataset: Dataset, bar: FrameBar) -> None:
+    """Draw every frame once; the runs then read them from the cache."""
+    say(f"rendering {len(dataset)} frames of a room with people in it")
+    bar.label = "rendering"
+    bar.start(len(dataset))
+    try:
+        for place in range(len(dataset)):
+            dataset.load(place)
+            bar.frame(None)
+    finally:
+        bar.finish()
+
+
+def _track(dataset: Dataset, config: SlamConfig, options: RunOptions, bar: FrameBar) -> RunOutcome:
+    """Run a method, and leave where the user stops it."""
+    say(f"tracking the camera with {config.method}")
+    bar.label = config.method
+    outcome = run(dataset, config, options, bar)
+    if outcome.interrupted:
+        say(f"stopped; what there is by now lies in {outcome.folder}")
+        raise typer.Exit(INTERRUPTED)
+    return outcome
+
+
+def _print_comparison(dataset: Dataset, baseline: RunOutcome, ours: RunOutcome) -> None:
+    rows = [_row(outcome, baseline) for outcome in (baseline, ours)]
+    still_m = _still_camera_m(ours.evaluation or baseline.evaluation)
+    print_lines(["", f"the camera's path through {dataset.name}"])
+    print_table(HEADER, rows)
+    if still_m is not None:
+        print_lines([f"ATE: RMSE after SE(3) alignment; a camera that never moved has {still_m:.4f} m here"])
+
+
+def _row(outcome: RunOutcome, baseline: RunOutcome) -> tuple[str, ...]:
+    found, other = outcome.evaluation, baseline.evaluation
+    if found is None:
+        return (outcome.method, "–", "–", percent(outcome.n_tracked / max(outcome.n_given, 1)), "–")
+    ate_m, gain = found.as_given.ate_se3_m.rmse, None
+    if other is not None and outcome is not baseline:
+        gain = improvement_percent(other.as_given.ate_se3_m.rmse, ate_m)
+    share = ate_m / found.as_given.still_camera_m if found.as_given.still_camera_m else None
+    improvement = "–" if gain is None else f"{gain:+.1f} %"
+    against_still = "–" if share is None else f"{share * 100:.0f} %"
+    return (outcome.method, f"{ate_m:.4f}", against_still, percent(found.coverage), improvement)
+
+
+def _still_camera_m(evaluation: Evaluation | None) -> float | None:
+    return None if evaluation is None else evaluation.as_given.still_camera_m
+
+
+def _compared(dataset: Dataset, baseline: RunOutcome, ours: RunOutcome) -> tuple[Path, ...]:
+    """Draw both trajectories into one set of plots, in the place of those of ours alone."""
+    truth = dataset.groundtruth
+    if truth is None or ours.folder is None or ours.evaluation is None or baseline.evaluation is None:
+        return ()
+    estimates = {outcome.method: outcome.slam.trajectory() for outcome in (ours, baseline)}
+    return draw_plots(ours.folder / PICTURES, estimates, truth, f"{ours.method} and {baseline.method}")
+
+
+def _print_pictures(plots: tuple[Path, ...], baseline: RunOutcome, ours: RunOutcome) -> None:
+    frames = [path for outcome in (baseline, ours) for path in outcome.pictures if path.name.startswith("frame_")]
+    print_lines(["pictures:", *(f"  {path}" for path in (*plots, *frames))])

@@ -1,0 +1,88 @@
+"""`stillroom demo`, short; the whole of it is marked slow."""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+import typer
+from typer.testing import CliRunner, Result
+
+from stillroom.cli.demo import demo
+from stillroom.pipeline.stop_request import StopRequest
+
+app = typer.Typer()
+app.command()(demo)
+
+
+@pytest.fixture
+def without_weights(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("STILLROOM_MODELS", str(tmp_path / "absent"))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.chdir(tmp_path)
+
+
+def invoke(*arguments: str) -> Result:
+    return CliRunner().invoke(app, arguments)
+
+
+def ate_m(result: Result, name: str) -> float:
+    """The figure in a row of the table."""
+    line = next(line for line in result.stdout.splitlines() if line.strip().startswith(name))
+    return float(line.split()[1])
+
+
+def check_files(result: Result, root: Path) -> None:
+    """The table says what the folders say, and every picture that is named is there."""
+    named = [Path(line.strip()) for line in result.stdout.splitlines() if line.endswith(".png")]
+    assert len(named) == len(set(named)) == 3 + 2 * 4
+    assert all(path.is_file() for path in named)
+    for name in ("orb-slam2", "oc-slam"):
+        (folder,) = root.glob(f"*_{name}_synthetic*")
+        figures = json.loads((folder / "metrics.json").read_text())
+        assert ate_m(result, name) == pytest.approx(figures["as_given"]["ate_se3_m"]["rmse"], abs=1e-4)
+        assert any(folder.name in str(path) for path in named)
+
+
+def test_without_weights_it_takes_the_renderers_boxes_and_says_so(without_weights: None, tmp_path: Path) -> None:
+    result = invoke("--frames", "0:30", "--out", "results")
+    assert result.exit_code == 0, result.output
+    assert "detector: the renderer's own boxes, because YOLO-Fastest's weights are not in" in result.stdout
+    assert "stillroom download models" in result.stdout
+    assert "a camera that never moved has 0." in result.stdout
+    check_files(result, tmp_path / "results")
+    (folder,) = (tmp_path / "results").glob("*_oc-slam_*")
+    assert re.search(r'^kind = "truth"', (folder / "config.toml").read_text(), re.MULTILINE)
+
+
+def test_with_weights_it_takes_yolo_fastest(
+    yolo_weights: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("STILLROOM_MODELS", str(yolo_weights.parent))
+    result = invoke("--frames", "0:12", "--out", str(tmp_path))
+    assert result.exit_code == 0, result.output
+    assert f"detector: YOLO-Fastest, its weights from {yolo_weights}" in result.stdout
+    check_files(result, tmp_path)
+
+
+def test_ctrl_c_ends_it(without_weights: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(StopRequest, "__enter__", lambda self: setattr(self, "asked", True) or self)
+    result = invoke("--frames", "0:5")
+    assert result.exit_code == 130
+    assert "stopped; what there is by now lies in" in result.stderr
+    assert "oc-slam" not in result.stdout
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("detector", ["yolo_weights", "without_weights"])
+def test_the_whole_demo_shows_what_it_promises(detector: str, tmp_path: Path, request: pytest.FixtureRequest) -> None:
+    request.getfixturevalue(detector)
+    result = invoke("--out", str(tmp_path / "results"))
+    assert result.exit_code == 0, result.output
+    check_files(result, tmp_path / "results")
+    still_m = float(re.search(r"never moved has ([0-9.]+) m", result.stdout)[1])
+    ours_m, baseline_m = ate_m(result, "oc-slam"), ate_m(result, "orb-slam2")
+    assert ours_m <= 0.02
+    assert ours_m <= baseline_m / 3
+    assert ours_m <= still_m / 3
+    assert next(line for line in result.stdout.splitlines() if "oc-slam " in line).count("100.0 %") == 1

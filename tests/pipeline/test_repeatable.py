@@ -1,0 +1,39 @@
+"""The same input and seed give the same bytes."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from stillroom.config import SlamConfig
+from stillroom.methods.registry import method
+from stillroom.pipeline import RunOptions, Source, run
+from stillroom.semantics.nothing import NothingConfig
+from stillroom.semantics.truth import TruthConfig
+
+REPEATED = ("trajectory.tum", "trajectory_online.tum", "keyframes.tum", "frames.csv")
+
+
+def assert_same_bytes(source: Source, config: SlamConfig, tmp_path: Path) -> None:
+    for name in ("one", "two"):
+        run(source.open(), config, RunOptions(folder=tmp_path / name, pictures=0))
+    for name in REPEATED:
+        assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes(), name
+    assert (tmp_path / "one" / "trajectory.tum").read_bytes().count(b"\n") > 30
+
+
+@pytest.mark.parametrize("name", ["orb-slam2", "oc-slam"])
+def test_in_the_synthetic_room(name: str, tmp_path: Path) -> None:
+    config = replace(method(name).config, seed=3)
+    if not isinstance(config.semantics, NothingConfig):
+        config = replace(config, semantics=TruthConfig())
+    assert_same_bytes(Source("synthetic:walking,frames=45"), config, tmp_path)
+
+
+@pytest.mark.parametrize("name", ["orb-slam2", "oc-slam"])
+def test_on_120_real_frames(name: str, bonn: Path, yolo_weights: Path, tmp_path: Path) -> None:
+    """With the detector, in a stretch in which people walk."""
+    config = method(name).config
+    if not isinstance(config.semantics, NothingConfig):
+        config = replace(config, semantics=replace(config.semantics, folder=str(yolo_weights)))  # type: ignore[type-var]
+    assert_same_bytes(Source(str(bonn), frames="210:330"), config, tmp_path)

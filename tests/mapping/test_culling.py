@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from small_world import SmallMap, SmallWorld, pose
 
+from stillroom.data.map import Covisibility
 from stillroom.mapping.culling import MIN_OBSERVATIONS, TRIAL_KEYFRAMES, count_redundant, cull_keyframes, cull_points
 
 CLOSE_M = 3.0
@@ -100,6 +101,15 @@ def test_keyframes_that_add_nothing_go_but_never_the_first_or_the_newest() -> No
     assert not {0, 5} & set(removed)
     assert small.map.alive_keyframes().tolist() == sorted(set(range(6)) - set(removed))
     assert len(small.map.alive_keyframes()) == 3
+    assert cull_keyframes(5, CLOSE_M, small.map) == []
+
+
+def test_the_origin_stays_even_when_it_is_redundant() -> None:
+    small = SmallMap.of(SmallWorld.of(1, 300), [pose(0.002 * k) for k in range(6)])
+    n_close, n_redundant = counted(small, 0)
+    assert n_redundant > 0.95 * n_close > 50
+    small.map.covisibility = Covisibility()
+    small.map.covisibility.connect(5, np.array([90, 0, 0, 0, 0, 0], np.int32))
     assert cull_keyframes(5, CLOSE_M, small.map) == []
 
 

@@ -82,6 +82,20 @@ def test_a_keyframe_that_sees_no_point_there_gets_an_observation() -> None:
     assert small.map.points.is_alive.sum() == n_before
 
 
+def test_points_are_projected_both_ways() -> None:
+    for points_of_first in (True, False):
+        small, first_ids = with_duplicates()
+        known = np.flatnonzero((first_ids >= 0) & (first_ids == small.id_of))
+        # Only one of the two has points beside those that they share; the other one's keypoints see nothing there.
+        own = small.map.points_of(1 if points_of_first else 0)
+        small.map.remove_points(own[(own >= 0) & ~np.isin(own, first_ids[known])])
+        fuse_neighbourhood(1, CAMERA, small.map)
+        first, second = points_of_world(small, 0), points_of_world(small, 1)
+        both = np.intersect1d(*small.seen)
+        assert len(both) > 2 * N_KNOWN
+        assert np.mean([first.get(p, -1) == second.get(p, -2) for p in both.tolist()]) > 0.93
+
+
 def unseen_by_second(**look: float) -> tuple[SmallMap, np.ndarray]:
     small = SmallMap.of(SmallWorld.of(5, 300), [np.eye(4)])
     ids = small.id_of.copy()
@@ -144,7 +158,7 @@ def test_the_neighbourhood_is_two_steps_wide_without_the_keyframe_itself() -> No
             if k in (a, b):
                 counts[a + b - k] = weight
         graph.connect(k, counts)
-    assert neighbourhood(0, small.map) == [1, 3, 6, 2, 5]
+    assert neighbourhood(0, small.map, n_first=10, n_second=5) == [1, 3, 6, 2, 5]
     assert neighbourhood(0, small.map, n_first=1, n_second=2) == [1, 3]
     assert neighbourhood(0, small.map, n_first=0) == []
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from small_world import CAMERA, SmallMap, SmallWorld, pose
 
+from stillroom.data.map import Covisibility
 from stillroom.geometry import se3
 from stillroom.mapping.local_bundle import adjust_locally
 from stillroom.optimize.bundle import BundleConfig
@@ -81,6 +82,13 @@ def test_the_origin_stays_though_it_is_a_neighbour() -> None:
     adjust_locally(5, 20, CAMERA, ADJUST, small.map)
     np.testing.assert_array_equal(small.map.keyframes.T_world_cam[0], POSES[0])
     assert pose_errors_m(small).max() < 2e-4
+    noisy = shaken([3, 4, 5], noise_px=0.5)
+    noisy.map.covisibility = Covisibility()
+    noisy.map.covisibility.connect(5, np.array([90, 0, 0, 0, 80, 0], np.int32))
+    before = noisy.map.keyframes.T_world_cam.copy()
+    adjust_locally(5, 3, CAMERA, ADJUST, noisy.map)  # 1, 2 and 3 hold still because they are no neighbours
+    moved = np.abs(noisy.map.keyframes.T_world_cam - before).max(axis=(1, 2)) > 0
+    assert np.flatnonzero(moved).tolist() == [4, 5]
 
 
 def test_without_anyone_else_the_oldest_holds_still() -> None:

@@ -16,8 +16,16 @@ WORLD = SmallWorld.of(0, 700)
 PATH = [pose(0.08 * k, 0.02 * np.sin(k), 0.03 * k, (0.0, -0.015 * k, 0.01 * k)) for k in range(10)]
 
 
-def walked(config: LocalMapperConfig, moving: float = 0.0) -> tuple[Map, LocalMapper, list[np.ndarray]]:
-    """Insert and refine a keyframe at each pose of the path, each matched with what the one before it sees."""
+def walked(
+    config: LocalMapperConfig, moving: float = 0.0, missed: float = 0.0
+) -> tuple[Map, LocalMapper, list[np.ndarray]]:
+    """Insert and refine a keyframe at each pose of the path, each matched with what the one before it sees.
+
+    Args:
+        config: The mapper's.
+        moving: Share of the keypoints that a sieve takes for moving.
+        missed: Share of the keypoints whose point tracking did not find.
+    """
     rng = np.random.default_rng(0)
     world = Map(SCALES)
     mapper = config.build(CAMERA, world)
@@ -28,6 +36,7 @@ def walked(config: LocalMapperConfig, moving: float = 0.0) -> tuple[Map, LocalMa
         motion = Motion(rng.random(len(frame)) >= moving, Motion.none(0, 480, 640).moving)
         guess = T_world_cam @ se3.exp(rng.normal(0, 0.002, 6)) if k else T_world_cam
         point_ids = np.where(motion.is_static, world.current_ids(id_of[numbers]), -1).astype(np.int32)
+        point_ids[rng.random(len(frame)) < missed] = -1
         tracked = Tracked(frame, TrackingState.OK, guess, point_ids, motion, k - 1)
         keyframe = mapper.insert(tracked)
         assert keyframe == k
@@ -55,8 +64,9 @@ def test_the_map_stays_true_along_a_path(cull: bool) -> None:
     assert np.mean(error_m > 0.05 * truth[:, 2]) < 0.02
 
 
-def test_the_map_has_each_point_of_the_world_about_once() -> None:
-    world, _, seen = walked(LocalMapperConfig(cull_keyframes=False))
+@pytest.mark.parametrize("missed", [0.0, 0.3])
+def test_the_map_has_each_point_of_the_world_about_once(missed: float) -> None:
+    world, _, seen = walked(LocalMapperConfig(cull_keyframes=False), missed=missed)
     numbers = np.concatenate(seen)
     rows = np.flatnonzero(world.keypoints.point >= 0)
     pairs = np.unique(np.column_stack((numbers[rows], world.keypoints.point[rows])), axis=0)

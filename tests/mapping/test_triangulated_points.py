@@ -75,6 +75,23 @@ def test_far_points_without_parallax_need_depth() -> None:
         np.testing.assert_allclose(small.map.points.position_m[ids], small.world.points_m[numbers], atol=0.01)
 
 
+def test_where_depth_tells_more_than_parallax_depth_is_used() -> None:
+    # A step forwards gives hardly any parallax; a third of a pixel would throw triangulated points about.
+    small = two_keyframes(pose(0.02, 0.0, 0.15), noise_px=0.3)
+    ids, numbers = triangulated(small)
+    assert len(ids) > 0.8 * len(in_both(small))
+    error_m = np.linalg.norm(small.map.points.position_m[ids] - small.world.points_m[numbers], axis=1)
+    assert np.percentile(error_m / small.world.points_m[numbers, 2], 90) < 2 / CAMERA.fx
+
+
+def test_new_points_know_both_views() -> None:
+    small = two_keyframes(SIDE, flips=10)
+    ids, _ = triangulated(small)
+    normals = small.map.points.normal[ids].copy()
+    small.map.refresh(ids)
+    np.testing.assert_array_equal(small.map.points.normal[ids], normals)
+
+
 def test_of_two_depths_the_nearer_one_is_used() -> None:
     small = two_keyframes(FORWARD)
     small.map.keypoints.depth_m[small.map.rows(0)] *= 1.001  # the farther view's depth is a little wrong

@@ -81,6 +81,9 @@ class TestWithLastFrame:
         small.frames[0], frame = on_level(small.frames[0], 0), on_level(frame, 0)
         assert len(self.find(small, frame, astray)) < 5
         assert n_right(small, self.find(small, frame, astray, 50), seen) > 0.9 * len(common(small, seen))
+        # On level 5 a pixel is 2.5 times as large, and so is the window.
+        small.frames[0], frame = on_level(small.frames[0], 5), on_level(frame, 5)
+        assert n_right(small, self.find(small, frame, astray), seen) > 0.6 * len(common(small, seen))
 
     def test_points_have_moved_with_the_map(self, small: SmallMap) -> None:
         frame, seen = next_frame(small)

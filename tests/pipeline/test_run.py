@@ -2,6 +2,8 @@
 
 import csv
 import json
+import os
+import signal
 import tomllib
 import weakref
 from dataclasses import replace

@@ -80,7 +80,7 @@ def sentences(table: Sequence[Way]) -> list[str]:
     n = len(first.trials)
     lines = [
         f"ATE: RMSE after SE(3) alignment, ground truth as given, median of {n} run{'s' if n > 1 else ''}; "
-        "static kept: keypoints judged static per frame in which the detector sees something movable "
+        "static kept: keypoints judged static per tracked frame in which the detector sees something movable "
         f"({boxed.n_frames if boxed else 0} of {first.trials[0].n_given} frames); in use: map points that agree with "
         "the pose there",
     ]

@@ -16,7 +16,7 @@ from stillroom.protocols import Dataset, Segmenter
 
 @dataclass(frozen=True)
 class BoxedFrames:
-    """The frames in which something may move, on average.
+    """The tracked frames in which something may move, on average.
 
     Attributes:
         n_frames: How many there were.
@@ -98,7 +98,9 @@ def attempt(dataset: Dataset, config: SlamConfig, seed: int, progress: Progress 
     outcome = run(dataset, replace(config, seed=seed), options, progress)
     if outcome.interrupted:
         raise KeyboardInterrupt
-    boxed = [result for result in outcome.slam.results if result.index in noting.occupied]
+    # A lost frame has no verdict worth counting: nothing was rejected there because nothing was tracked.
+    tracked = [result for result in outcome.slam.results if result.T_world_cam is not None]
+    boxed = [result for result in tracked if result.index in noting.occupied]
     return Trial(seed, outcome.n_given, outcome.n_tracked, outcome.evaluation, _averaged(boxed), outcome.clock)
 
 

@@ -10,7 +10,8 @@ from stillroom.cli.arguments import ConfigFile, Method, Seed, Settings
 from stillroom.errors import ConfigError
 
 if TYPE_CHECKING:
-    from stillroom.pipeline import RunOutcome
+    from stillroom.config import SlamConfig
+    from stillroom.pipeline import RunOutcome, Source
 
 INTERRUPTED = 130
 SYNTHETIC = "synthetic"
@@ -65,28 +66,41 @@ def run(
     """
     if schedule is ScheduleName.LIVE:
         raise ConfigError("--schedule live is not in this version; leave it out, or say in-order")
+    from stillroom.methods.registry import configure
+    from stillroom.pipeline import Source
+
+    chosen = configure(method, config, settings or (), seed)
+    source = Source(sequence, camera, fps, frames, tuple(drop or ()), tuple(blackout or ()))
+    _track(chosen, source, out, pictures, tuple(detector_off or ()), schedule)
+
+
+def _track(
+    chosen: "SlamConfig",
+    source: "Source",
+    out: Path | None,
+    pictures: int,
+    detector_off: tuple[str, ...],
+    schedule: ScheduleName,
+) -> None:
     from stillroom.cli.output.console import STDERR, say, show_log
     from stillroom.cli.output.progress import RunBar
     from stillroom.cli.warmup import ensure_warm
-    from stillroom.methods.registry import configure
-    from stillroom.pipeline import RunOptions, Source
+    from stillroom.pipeline import RunOptions
     from stillroom.pipeline import run as run_pipeline
     from stillroom.pipeline.options import detector_ranges
 
     show_log()
-    chosen = configure(method, config, settings or (), seed)
-    source = Source(sequence, camera, fps, frames, tuple(drop or ()), tuple(blackout or ()))
     dataset = source.open()
     options = RunOptions(
         folder=out,
         pictures=pictures,
-        detector_off=detector_ranges(detector_off or (), dataset),
+        detector_off=detector_ranges(detector_off, dataset),
         segmenter=chosen.semantics.build(),  # now: absent weights are told before kernels are compiled
         source=source,
         asked={"schedule": schedule.value},
     )
     say(f"{chosen.method} on {dataset.name}: {len(dataset)} images; camera: {dataset.camera_source}")
-    ensure_warm(STDERR, sequence.startswith(SYNTHETIC))
+    ensure_warm(STDERR, source.sequence.startswith(SYNTHETIC))
     outcome = run_pipeline(dataset, chosen, options, RunBar(STDERR))
     _report(outcome)
     if outcome.interrupted:

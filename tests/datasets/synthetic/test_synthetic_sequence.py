@@ -1,5 +1,6 @@
 """The data set: any frame from seed and number alone, exact boxes, a cache that can be trusted, little memory."""
 
+import os
 import time
 import tracemalloc
 from collections.abc import Callable
@@ -113,6 +114,7 @@ def test_a_damaged_file_is_rendered_again_and_mended(damage: str) -> None:
     assert same(room.load(2), before)
     if damage != "folder":
         assert file.read_bytes() == content
+    assert not list(file.parent.glob("*.part"))
 
 
 def test_a_cache_that_cannot_be_written_costs_nothing_but_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -145,7 +147,7 @@ def test_the_cache_keeps_to_its_budget() -> None:
         place = cache_folder() / "synthetic" / key
         assert len(list(place.iterdir())) == 10, "half the budget is one sequence's share"
         stamp = {"oldest": 1000, "older": 2000, "newest": 3000}[key]
-        __import__("os").utime(place, (stamp, stamp))
+        os.utime(place, (stamp, stamp))
     FrameCache("next", budget)
     assert sorted(place.name for place in (cache_folder() / "synthetic").iterdir()) == ["newest"]
     assert FrameCache("newest", budget).read(3) is not None
@@ -213,12 +215,14 @@ def test_a_frame_costs_about_a_unit(bonn: Path, record_property: Callable[[str, 
     room = open_synthetic("synthetic:walking,frames=300,cache=off")
     orb.detectAndCompute(gray, None)
     room.load(0)
-    unit_s, load_s = 0.0, 0.0
+    unit_s, load_s = [], []
     for index in range(0, 300, 8):
         begin = time.thread_time()
         orb.detectAndCompute(gray, None)
         middle = time.thread_time()
         room.load(index)
-        unit_s, load_s = unit_s + middle - begin, load_s + time.thread_time() - middle
-    record_property("units_per_frame", load_s / unit_s)
-    assert load_s / unit_s < 3.0, f"a frame costs {load_s / unit_s:.2f} units"
+        unit_s.append(middle - begin)
+        load_s.append(time.thread_time() - middle)
+    units = float(np.median(load_s) / np.median(unit_s))
+    record_property("units_per_frame", units)
+    assert units < 2.5, f"a frame costs {units:.2f} units"

@@ -66,15 +66,26 @@ class FrameCache:
             return
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
-            with tempfile.NamedTemporaryFile(dir=self.folder, suffix=".part", delete=False) as file:
-                file.write(_packed(frame))
-            Path(file.name).replace(self._path(index))
+            _write_whole(self._path(index), _packed(frame))
         except OSError as error:
             self._usable = False
             logger.info("%s: rendered frames are not kept (%s)", self.folder, error)
 
     def _path(self, index: int) -> Path:
         return self.folder / f"{index:06d}.frame"
+
+
+def _write_whole(path: Path, content: bytes) -> None:
+    """Write a file beside its place and move it there: nobody ever sees half of it."""
+    with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as file:
+        part = Path(file.name)
+        try:
+            file.write(content)
+            file.flush()
+            part.replace(path)
+        except OSError:
+            part.unlink(missing_ok=True)
+            raise
 
 
 def _packed(frame: StoredFrame) -> bytes:

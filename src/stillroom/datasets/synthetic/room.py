@@ -3,7 +3,9 @@
 import hashlib
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from pathlib import Path
 
+import cv2
 import numpy as np
 
 from stillroom.data.image import RgbdImage
@@ -21,7 +23,6 @@ from stillroom.datasets.synthetic.scene.people.figures import FIRST_OBJECT, buil
 from stillroom.geometry.arrays import F32, F64, U8, U16, Bool
 from stillroom.geometry.camera import Camera
 
-RENDERER_VERSION = 1
 CAMERA = Camera(640, 480, 525.0, 525.0, 319.5, 239.5, depth_factor=5000.0, bf=40.0)
 SMALLEST_BOX_PX = 150
 
@@ -67,7 +68,7 @@ class SyntheticRoom:
         self._path = CameraPath(path, seed, n_frames / fps)
         self._seed = seed
         self._noise = sensor.NoiseTables(seed) if noise else None
-        spec = f"{RENDERER_VERSION} {n_frames} {fps!r} {seed} {path} {figures} {room} {noise} {CAMERA}"
+        spec = f"{_renderer_version()} {n_frames} {fps!r} {seed} {path} {figures} {room} {noise} {CAMERA}"
         key = hashlib.sha256(spec.encode()).hexdigest()[:24]
         self._cache = FrameCache(key) if cache else None
 
@@ -162,6 +163,16 @@ class SyntheticRoom:
 def stage_for(path: str) -> Stage:
     """Return the floor that figures may take: a smaller one where the camera goes round them."""
     return Stage(scale=0.6, middle_y_m=0.05) if path == "loop" else Stage()
+
+
+@lru_cache(maxsize=1)
+def _renderer_version() -> str:
+    """Return a hash of the renderer's own sources: a frame kept by another version is never taken for one of this."""
+    folder = Path(__file__).parent
+    digest = hashlib.sha256(f"{np.__version__} {cv2.__version__}".encode())
+    for path in sorted(folder.rglob("*.py")):
+        digest.update(path.relative_to(folder).as_posix().encode() + path.read_bytes())
+    return digest.hexdigest()
 
 
 @lru_cache(maxsize=4)

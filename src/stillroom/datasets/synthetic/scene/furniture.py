@@ -114,12 +114,14 @@ def bench(builder: SceneBuilder, rng: np.random.Generator, T_world_wall: F64, x_
     top = builder.texture(pictures.desk_clutter(rng, int(220 * width_m), 144, colour))
     edge = builder.texture(surfaces.wood(rng, 256, 24, colour, 1))
     builder.box(T_world_wall, (x_m, -0.66, 0.8), (width_m, 0.64, 0.07), Skin(edge, edge, top))
+    for leg_x in (x_m + 0.02, x_m + width_m - 0.1):
+        builder.box(T_world_wall, (leg_x, -0.64, 0), (0.08, 0.08, 0.8), Skin(edge, edge, edge))
     builder.occupy(T_world_wall, (x_m, -0.66), (x_m + width_m, -0.02))
     x = x_m
     while x < x_m + width_m - 0.3:
         tower(builder, rng, T_world_wall, x + 0.03, 0.0, float(rng.uniform(0.34, 0.44)), 2)
         x += 0.48
-    hang(builder, T_world_wall, x_m, 1.05, (width_m, 0.75), pictures.notes(rng, int(240 * width_m), 180))
+    hang(builder, T_world_wall, x_m, 1.05, (width_m, 0.75), pictures.pegboard(rng, int(240 * width_m), 180))
 
 
 def small_table(builder: SceneBuilder, rng: np.random.Generator, T_world_local: F64) -> None:

@@ -110,10 +110,11 @@ def _office(builder: SceneBuilder, rng: np.random.Generator) -> None:
     north, east, south, west = WALLS.north, WALLS.east, WALLS.south, WALLS.west
     furniture.desk(builder, rng, north, -1.75, 1.5)
     furniture.desk(builder, rng, north, -0.1, 1.5)
-    furniture.shelf(builder, rng, north, 1.6, 0.95, 2.0)
-    furniture.cabinet(builder, rng, north, -2.75, 0.85, 1.1)
+    furniture.shelf(builder, rng, north, 1.6, 1.2, 0.8)
+    furniture.cabinet(builder, rng, north, -2.75, 0.85, 0.8)
     _gallery(builder, rng, north, ((-2.6, 1.75, 0.55, 0.65), (-1.85, 1.3, 0.55, 0.75), (-1.2, 1.4, 0.6, 0.8)))
     _gallery(builder, rng, north, ((0.75, 1.3, 0.6, 0.8), (-1.15, 2.28, 0.5, 0.32), (0.2, 2.28, 0.7, 0.32)))
+    _gallery(builder, rng, north, ((1.6, 1.5, 0.55, 0.7), (2.3, 1.35, 0.55, 0.75), (1.75, 2.28, 0.6, 0.32)))
     furniture.hang(builder, north, -0.45, 1.3, (1.1, 0.85), pictures.scribbles(rng))
     furniture.cabinet(builder, rng, east, -2.0, 1.4, 0.9)
     furniture.shelf(builder, rng, east, -0.4, 1.1, 1.9)
@@ -157,12 +158,13 @@ def _workshop(builder: SceneBuilder, rng: np.random.Generator) -> None:
 
 def _library(builder: SceneBuilder, rng: np.random.Generator) -> None:
     north, east, south, west = WALLS.north, WALLS.east, WALLS.south, WALLS.west
-    for x, width, height in ((-2.7, 1.0, 2.0), (-1.6, 1.2, 0.85), (1.75, 1.0, 2.0)):
+    for x, width, height in ((-2.7, 1.0, 2.0), (-1.6, 1.2, 0.85), (1.5, 1.3, 0.85)):
         furniture.shelf(builder, rng, north, x, width, height)
     furniture.desk(builder, rng, north, -0.3, 1.7)
     furniture.hang(builder, north, -0.25, 1.35, (1.0, 0.8), pictures.notes(rng))
     _gallery(builder, rng, north, ((-1.5, 1.3, 0.6, 0.8), (-0.8, 1.45, 0.45, 0.6), (0.9, 1.3, 0.6, 0.8)))
     _gallery(builder, rng, north, ((-0.1, 2.25, 0.7, 0.35), (-1.3, 2.2, 0.6, 0.4), (0.9, 2.22, 0.6, 0.4)))
+    _gallery(builder, rng, north, ((1.6, 1.55, 0.55, 0.7), (2.3, 1.4, 0.55, 0.75)))
     for wall in (east, west):
         furniture.shelf(builder, rng, wall, -2.0, 1.2, 2.0)
         furniture.desk(builder, rng, wall, -0.7, 1.4)

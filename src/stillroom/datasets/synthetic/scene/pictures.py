@@ -218,6 +218,22 @@ def notes(rng: np.random.Generator, width: int = 320, height: int = 224) -> U8:
     return picture
 
 
+def pegboard(rng: np.random.Generator, width: int = 384, height: int = 192) -> U8:
+    """Draw a pale board of holes with tools hung on it."""
+    picture = surfaces.tinted(1.0 + 0.015 * surfaces.speckle(rng, height, width, 1, 4), (206, 204, 196))
+    for y in range(8, height, 12):
+        for x in range(8, width, 12):
+            cv2.circle(picture, (x, y), 1, (120, 118, 112), -1)
+    for x in range(16, width - 20, 26):
+        top, length, colour = int(rng.integers(10, height // 2)), int(rng.integers(40, 90)), any_colour(rng, 20, 190)
+        cv2.line(picture, (x, top), (x, top + length), (70, 72, 76), int(rng.integers(3, 6)), cv2.LINE_AA)
+        cv2.rectangle(picture, (x - 5, top + length // 2), (x + 5, top + length), colour, -1)
+        head = x + int(rng.integers(-3, 4)), top
+        cv2.ellipse(picture, head, (int(rng.integers(5, 11)), int(rng.integers(4, 8))), 0, 0, 360, (58, 60, 64), -1)
+    cv2.rectangle(picture, (0, 0), (width - 1, height - 1), (150, 146, 138), 4)
+    return picture
+
+
 def desk_clutter(rng: np.random.Generator, width: int, height: int, colour: Rgb) -> U8:
     """Draw a desk top with papers, a keyboard and small things lying on it."""
     picture = surfaces.wood(rng, width, height, colour, 4)

@@ -13,15 +13,17 @@ def speckle(rng: np.random.Generator, height: int, width: int, finest_px: int = 
     total = np.zeros((height, width), dtype=np.float32)
     for octave in range(octaves):
         cell = finest_px << octave
-        coarse = rng.standard_normal((max(2, height // cell + 1), max(2, width // cell + 1))).astype(np.float32)
-        method = cv2.INTER_NEAREST if cell == 1 else cv2.INTER_CUBIC
+        coarse_size = max(2, height // cell + 1), max(2, width // cell + 1)
+        coarse = rng.standard_normal(coarse_size, dtype=np.float32)
+        method = cv2.INTER_NEAREST if cell == 1 else cv2.INTER_LINEAR
         total += cv2.resize(coarse, (width, height), interpolation=method)
     return np.asarray(total / max(1e-6, float(total.std())), dtype=np.float32)
 
 
 def tinted(values: F32, colour: Rgb) -> U8:
     """Return a picture (H, W, 3) of one colour, scaled by values (H, W) around 1."""
-    return np.clip(values[..., None] * np.array(colour, dtype=np.float32), 0, 255).astype(np.uint8)
+    picture = values[..., None] * np.array(colour, dtype=np.float32)
+    return np.clip(picture, 0, 255, out=picture).astype(np.uint8)
 
 
 def darken_borders(picture: U8, reach_px: int, strength: float) -> U8:
@@ -29,8 +31,8 @@ def darken_borders(picture: U8, reach_px: int, strength: float) -> U8:
     height, width = picture.shape[:2]
     x = np.minimum(np.arange(width), np.arange(width)[::-1]) / reach_px
     y = np.minimum(np.arange(height), np.arange(height)[::-1]) / reach_px
-    gain = 1.0 - strength * np.maximum(np.exp(-x)[None, :], np.exp(-y)[:, None])
-    return np.clip(picture * gain[..., None], 0, 255).astype(np.uint8)
+    gain = (1.0 - strength * np.maximum(np.exp(-x)[None, :], np.exp(-y)[:, None])).astype(np.float32)
+    return (picture * gain[..., None]).astype(np.uint8)
 
 
 def plaster(rng: np.random.Generator, width: int, height: int, colour: Rgb) -> U8:

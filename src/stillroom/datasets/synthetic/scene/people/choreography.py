@@ -86,15 +86,14 @@ def _to_and_fro(
 
 def _walking(rng: np.random.Generator, stage: Stage) -> Cast:
     """Two go side by side, to and fro before the camera; a third passes behind them."""
-    speed, rest_s = float(rng.uniform(0.5, 0.6)), float(rng.uniform(0.9, 1.3))
-    first_s = float(rng.uniform(0.7, 1.1))
-    near = Script(stage.at(0.1, 0.22), RIGHT).stand(first_s, TO_CAMERA - 0.5)
-    far = Script(stage.at(-0.75, 0.42), RIGHT).stand(first_s + 0.1, RIGHT)
-    _to_and_fro(near, stage, 0.4, 0.22, 0.65, speed, rest_s)
-    _to_and_fro(far, stage, -0.4, 0.42, 0.65, speed, rest_s)
-    third = Script(stage.at(-1.75, 1.05), RIGHT).stand(first_s + 0.4, RIGHT).walk(stage.at(1.75, 1.05), 0.85).loop()
-    third.stand(1.6, LEFT).walk(stage.at(-0.1, 1.1), 0.8).stand(1.5, TO_CAMERA).walk(stage.at(-1.75, 1.1), 0.8)
-    third.stand(1.2, RIGHT).walk(stage.at(1.75, 1.05), 0.85)
+    speed, rest_s = float(rng.uniform(0.5, 0.6)), float(rng.uniform(0.3, 0.5))
+    near = Script(stage.at(-1.4, 0.28), RIGHT)
+    far = Script(stage.at(-1.95, 0.44), RIGHT)
+    _to_and_fro(near, stage, 0.4, 0.28, 0.65, speed, rest_s)
+    _to_and_fro(far, stage, -0.4, 0.44, 0.65, speed, rest_s)
+    third = Script(stage.at(-1.75, 1.2), RIGHT).stand(0.4, RIGHT).walk(stage.at(1.75, 1.2), 0.85).loop()
+    third.stand(1.6, LEFT).walk(stage.at(-0.1, 1.25), 0.8).stand(1.5, TO_CAMERA).walk(stage.at(-1.75, 1.25), 0.8)
+    third.stand(1.2, RIGHT).walk(stage.at(1.75, 1.2), 0.85)
     return Cast((near, far, third))
 
 
@@ -123,8 +122,8 @@ def _carried(rng: np.random.Generator, stage: Stage) -> Cast:
     home, aside = stage.at(0.0, 0.4), stage.at(-0.65, 0.4)
     carrier.stand(0.9, 0.0).walk(home, speed).loop()
     carrier.stand(1.5, TO_CAMERA).walk(aside, speed).stand(1.0, TO_CAMERA).walk(home, speed)
-    watcher = Script(stage.at(0.1, 1.6), TO_CAMERA).stand(3.0, TO_CAMERA + 0.4).walk(stage.at(-0.1, 1.6), 0.4).loop()
-    watcher.stand(6.0, TO_CAMERA).walk(stage.at(-0.25, 1.6), 0.4).stand(4.0, TO_CAMERA).walk(stage.at(-0.1, 1.6), 0.4)
+    watcher = Script(stage.at(0.1, 1.5), TO_CAMERA).stand(3.0, TO_CAMERA + 0.4).walk(stage.at(-0.1, 1.5), 0.4).loop()
+    watcher.stand(6.0, TO_CAMERA).walk(stage.at(-0.25, 1.5), 0.4).stand(4.0, TO_CAMERA).walk(stage.at(-0.1, 1.5), 0.4)
     hold_m, put_m = (0.0, 0.42, 1.0), (*right, TABLE_TOP_M)
     box = Handling("box", 0, taken_s, left_s, 1.0, (*left, TABLE_TOP_M), 0.2, hold_m, put_m)
     return Cast((carrier, watcher), (box,), (left, right))

@@ -10,7 +10,7 @@ from stillroom.geometry.arrays import F32, U8, Bool, Floats
 
 SKINS: tuple[Rgb, ...] = ((226, 178, 150), (196, 142, 110), (140, 94, 68), (238, 196, 172))
 HAIRS: tuple[Rgb, ...] = ((44, 32, 26), (92, 62, 38), (26, 24, 24), (150, 116, 70))
-SHIRTS: tuple[Rgb, ...] = ((46, 66, 116), (150, 52, 50), (96, 100, 84), (196, 192, 184), (60, 120, 110), (206, 168, 70))
+SHIRTS: tuple[Rgb, ...] = ((46, 66, 116), (150, 52, 50), (86, 92, 76), (200, 196, 188), (50, 112, 100), (206, 168, 70))
 JEANS: tuple[Rgb, ...] = ((58, 76, 118), (46, 50, 66), (96, 88, 76), (74, 96, 140))
 
 
@@ -24,55 +24,81 @@ def folds(rng: np.random.Generator, height: int, width: int, depth: float) -> F3
 
 
 def shirt(rng: np.random.Generator, style: str, colour: Rgb, size_px: int = 256) -> U8:
-    """Draw the cloth of a shirt: "plaid", "stripes", "print" or "knit"."""
-    values = folds(rng, size_px, size_px, 0.16) + 0.05 * surfaces.speckle(rng, size_px, size_px, 1, 3)
-    picture = np.empty((size_px, size_px, 3), dtype=np.float32)
+    """Draw the cloth of a shirt: "plaid", "stripes", "print" or "knit"; anything else is plain."""
+    values = folds(rng, size_px, size_px, 0.14) + 0.05 * surfaces.speckle(rng, size_px, size_px, 1, 3)
+    picture = np.empty((size_px, size_px, 3), dtype=np.uint8)
     picture[:] = colour
-    other = np.array(any_colour(rng, 30, 225), dtype=np.float32)
-    if style == "plaid":
-        _plaid(rng, picture, other)
-    elif style == "stripes":
-        step = int(rng.integers(14, 24))
-        for top in range(0, size_px, step):
-            picture[top : top + step // 2] = 0.35 * picture[top : top + step // 2] + 0.65 * other
-    elif style == "knit":
-        rows = 1.0 + 0.12 * np.sin(np.arange(size_px) * 1.6)[:, None] * np.sin(np.arange(size_px) * 0.8)[None, :]
-        picture *= rows[..., None]
-        picture[::19] *= 0.8
-    cloth = np.clip(picture * values[..., None], 0, 255).astype(np.uint8)
-    if style == "print":
-        _print(rng, cloth)
-    return cloth
+    draw = {"plaid": _plaid, "stripes": _stripes, "print": _print, "knit": _knit}.get(style)
+    if draw is not None:
+        draw(rng, picture, _between(colour, contrasting(rng, colour), 0.28))
+    return np.clip(picture * values[..., None], 0, 255).astype(np.uint8)
 
 
-def _plaid(rng: np.random.Generator, picture: F32, other: F32) -> None:
-    size, step = len(picture), int(rng.integers(26, 40))
+def contrasting(rng: np.random.Generator, colour: Rgb) -> Rgb:
+    """Return a colour that stands out: light on dark, dark on light."""
+    return any_colour(rng, 165, 235) if sum(colour) < 390 else any_colour(rng, 20, 90)
+
+
+def _between(one: Rgb, other: Rgb, share: float) -> Rgb:
+    red, green, blue = (int((1 - share) * a + share * b) for a, b in zip(one, other, strict=True))
+    return red, green, blue
+
+
+def _plaid(rng: np.random.Generator, cloth: U8, ink: Rgb) -> None:
+    """Draw broad bands both ways, and a thin line beside each."""
+    size, step = len(cloth), int(rng.integers(24, 34))
     for low in range(0, size, step):
-        wide = step // 3
-        picture[low : low + wide] = 0.55 * picture[low : low + wide] + 0.45 * other
-        picture[:, low : low + wide] = 0.55 * picture[:, low : low + wide] + 0.45 * other
-        picture[low + 2 * wide : low + 2 * wide + 2] *= 0.45
-        picture[:, low + 2 * wide : low + 2 * wide + 2] *= 0.45
+        for band in (cloth[low : low + step // 3], cloth[:, low : low + step // 3]):
+            band[:] = (0.4 * band + 0.6 * np.array(ink)).astype(np.uint8)
+        for line in (cloth[low + 2 * step // 3 :][:2], cloth[:, low + 2 * step // 3 :][:, :2]):
+            line[:] = (0.6 * line).astype(np.uint8)
 
 
-def _print(rng: np.random.Generator, cloth: U8) -> None:
-    """Put letters and a badge on breast and back."""
+def _stripes(rng: np.random.Generator, cloth: U8, ink: Rgb) -> None:
+    """Draw stripes round the body, of uneven width."""
+    size, step = len(cloth), int(rng.integers(16, 26))
+    for top in range(0, size, step):
+        band = cloth[top : top + int(rng.integers(step // 3, 2 * step // 3))]
+        band[:] = (0.35 * band + 0.65 * np.array(ink)).astype(np.uint8)
+
+
+def _knit(rng: np.random.Generator, cloth: U8, ink: Rgb) -> None:
+    """Draw a jumper with rows of diamonds, crosses and dots."""
+    size, step = len(cloth), 22
+    for number, y in enumerate(range(step // 2, size, step)):
+        offset = int(rng.integers(step))
+        for x in range(offset, size + step, step):
+            kind, reach = number % 3, int(rng.integers(5, 8))
+            if kind == 0:
+                corners = np.array([[x - reach, y], [x, y - reach], [x + reach, y], [x, y + reach]], dtype=np.int32)
+                cv2.fillPoly(cloth, [corners], ink, cv2.LINE_AA)
+            elif kind == 1:
+                cv2.line(cloth, (x - reach, y - reach), (x + reach, y + reach), ink, 2, cv2.LINE_AA)
+                cv2.line(cloth, (x - reach, y + reach), (x + reach, y - reach), ink, 2, cv2.LINE_AA)
+            else:
+                cv2.circle(cloth, (x, y), reach // 2, ink, -1, cv2.LINE_AA)
+
+
+def _print(rng: np.random.Generator, cloth: U8, ink: Rgb) -> None:
+    """Put letters and a badge on breast and back, smaller ones at the sides."""
     size = len(cloth)
     for centre in (size // 2, 0, size):
-        ink = any_colour(rng, 170, 250)
-        cv2.circle(cloth, (centre, int(0.42 * size)), size // 11, ink, 3, cv2.LINE_AA)
-        for _ in range(6):
-            spot = centre + int(rng.integers(-24, 24)), int(0.42 * size) + int(rng.integers(-20, 20))
+        cv2.circle(cloth, (centre, int(0.36 * size)), size // 10, ink, 3, cv2.LINE_AA)
+        for _ in range(9):
+            spot = centre + int(rng.integers(-24, 24)), int(0.36 * size) + int(rng.integers(-22, 22))
             cv2.circle(cloth, spot, int(rng.integers(2, 6)), any_colour(rng), -1, cv2.LINE_AA)
-        for row in range(2):
-            word = str(rng.choice(WORDS)).upper()
-            at = centre - 32, int((0.62 + 0.12 * row) * size)
-            cv2.putText(cloth, word, at, cv2.FONT_HERSHEY_DUPLEX, 0.75, ink, 2, cv2.LINE_AA)
+        for row in range(3):
+            at = centre - 34, int((0.55 + 0.11 * row) * size)
+            cv2.putText(cloth, str(rng.choice(WORDS)).upper(), at, cv2.FONT_HERSHEY_DUPLEX, 0.72, ink, 2, cv2.LINE_AA)
+    for u in (0.25, 0.75):
+        for row in range(9):
+            at = int(u * size) - 16, 30 + 24 * row
+            cv2.putText(cloth, str(rng.choice(WORDS)), at, cv2.FONT_HERSHEY_SIMPLEX, 0.42, ink, 1, cv2.LINE_AA)
 
 
 def trousers(rng: np.random.Generator, colour: Rgb, width: int = 128, height: int = 256) -> U8:
     """Draw a leg of jeans: worn thigh, seams, creases at knee and ankle."""
-    values = folds(rng, height, width, 0.13) + 0.06 * surfaces.speckle(rng, height, width, 1, 4)
+    values = folds(rng, height, width, 0.13) + 0.09 * surfaces.speckle(rng, height, width, 1, 4)
     worn = np.exp(-(((np.arange(width) / width - 0.5) / 0.16) ** 2))[None, :]
     values += (0.22 * worn * np.exp(-(((np.arange(height) / height - 0.3) / 0.28) ** 2))[:, None]).astype(np.float32)
     for centre, count in ((0.52, 4), (0.93, 6)):

@@ -84,7 +84,7 @@ def _pose_vertices(
             if k == 2:
                 up = turned
         half = 0.5 + 0.5 * n
-        light[i] = min(1.0, 0.34 + 0.52 * half * half + 0.1 * n + 0.08 * up)
+        light[i] = min(1.0, 0.44 + 0.46 * half * half + 0.1 * n + 0.06 * up)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -159,7 +159,7 @@ def dress(rng: np.random.Generator, atlas: AtlasBuilder, style: str, taken: set[
     taken.add(choice)
     colour, jeans = clothes.SHIRTS[choice], clothes.JEANS[int(rng.integers(len(clothes.JEANS)))]
     cloth = clothes.shirt(rng, style, colour)
-    sleeve = cloth if style == "plaid" else clothes.shirt(rng, "plain" if style == "print" else style, colour)
+    sleeve = cloth if style == "plaid" else clothes.shirt(rng, "stripes" if style == "print" else style, colour)
     return body.Wardrobe(
         head=atlas.add(clothes.head(rng, skin_colour, hair, bool(rng.integers(2)))),
         skin=atlas.add(clothes.skin(rng, skin_colour)),

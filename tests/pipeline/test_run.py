@@ -234,8 +234,6 @@ def test_black_and_blind_images_are_remarked_once_and_the_run_goes_on(
     assert caplog.messages == [
         "image 16 has no depth anywhere",
         "image 20 is black",
-        "tracking is lost at image 20",
-        "tracking goes on at image 23",
     ]
     assert [r.index for r in outcome.slam.results if r.T_world_cam is None] == [20, 21, 22]
 

@@ -63,9 +63,11 @@ class Remarks:
         self._begins("black", is_black, "image %d is black", image.index)
         no_depth = not is_black and not image.depth_m.any()
         self._begins("no depth", no_depth, "image %d has no depth anywhere", image.index)
+        # A black image says by itself why there is no pose.
         was_lost = self._odd.get("lost", False)
-        self._begins("lost", result.state is TrackingState.LOST, "tracking is lost at image %d", image.index)
-        if was_lost and result.state is TrackingState.OK:
+        is_lost = result.state is TrackingState.LOST and (was_lost or not is_black)
+        self._begins("lost", is_lost, "tracking is lost at image %d", image.index)
+        if was_lost and not is_lost:
             log.warning("tracking goes on at image %d", image.index)
 
     def _begins(self, what: str, is_so: bool, message: str, number: int) -> None:

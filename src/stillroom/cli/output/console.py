@@ -34,7 +34,6 @@ def show_log() -> None:
     logger = logging.getLogger("stillroom")
     if not any(isinstance(handler, _OneLine) for handler in logger.handlers):
         logger.addHandler(_OneLine(logging.WARNING))
-        logger.propagate = False
 
 
 class _OneLine(logging.Handler):

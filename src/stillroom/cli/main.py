@@ -40,7 +40,11 @@ class Command:
 
 
 COMMANDS = (
-    Command("demo", "stillroom.cli.demo:demo", "Track a camera through a rendered room with people in it."),
+    Command(
+        "demo",
+        "stillroom.cli.demo:demo",
+        "Track a camera through a rendered room with people in it, by orb-slam2 and by oc-slam, and compare the two.",
+    ),
     Command("run", "stillroom.cli.run:run", "Track the camera through a sequence."),
     Command("evaluate", "stillroom.cli.evaluate:evaluate", "Say how good a trajectory is."),
     Command("methods", "stillroom.cli.methods:methods", "List the methods."),

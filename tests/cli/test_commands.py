@@ -12,11 +12,13 @@ from rich.console import Console
 from stillroom import __version__
 from stillroom.cli import main as command_line
 from stillroom.cli.main import COMMANDS, application, main
+from stillroom.cli.output.console import STDOUT
 from stillroom.cli.output.progress import RunBar
 from stillroom.config import to_toml
 from stillroom.data.result import FrameResult, TrackingState
 from stillroom.data.trajectory import Trajectory, read_tum
 from stillroom.errors import StillroomError
+from stillroom.evaluation.report_text import HEADER
 from stillroom.methods.registry import all_methods, configure
 
 
@@ -252,3 +254,16 @@ def test_other_commands_are_not_imported() -> None:
     names = {group.name for group in application("bench").registered_groups}
     assert names == {"bench"}
     assert application(None).registered_groups == []
+
+
+@pytest.mark.parametrize(("width", "columns"), [(80, ["rmse", "median", "max"]), (120, list(HEADER[2:]))])
+def test_figures_fit_a_terminal(
+    done: Path, stillroom: Callable, monkeypatch: pytest.MonkeyPatch, width: int, columns: list[str]
+) -> None:
+    monkeypatch.setattr(STDOUT, "width", width)
+    lines = stillroom("evaluate", done).out.splitlines()
+    header = next(line for line in lines if "ground truth" in line and "rmse" in line)
+    assert header.split()[3:] == columns
+    assert sum(line.startswith(" ATE") for line in lines) == 2
+    first = next(line for line in lines if "ATE [m], SE(3)" in line)
+    assert len(first.split()) == 5 + len(columns)

@@ -11,6 +11,10 @@ from stillroom.evaluation.report import Evaluation
 from stillroom.evaluation.report_text import HEADER, lines, rows
 
 
+FULL_WIDTH = 106
+LEFT_OUT_WHERE_NARROW = ("mean", "std", "min")
+
+
 def print_table(header: Sequence[str], table: Iterable[Sequence[str]], n_words: int = 1) -> None:
     """Print rows; the first columns hold words, the others numbers."""
     shown = Table(box=SIMPLE_HEAD, pad_edge=False)
@@ -23,7 +27,11 @@ def print_table(header: Sequence[str], table: Iterable[Sequence[str]], n_words: 
 
 def print_evaluation(evaluation: Evaluation) -> None:
     """Print all figures of a trajectory, and what they must be read with."""
-    print_table(HEADER, rows(evaluation), n_words=2)
+    narrow = STDOUT.width < FULL_WIDTH
+    shown = [place for place, name in enumerate(HEADER) if not (narrow and name in LEFT_OUT_WHERE_NARROW)]
+    table = [HEADER, *rows(evaluation)]
+    header, *body = [tuple(row[place] for place in shown) for row in table]
+    print_table(header, body, n_words=2)
     print_lines(lines(evaluation))
 
 

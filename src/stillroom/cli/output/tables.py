@@ -10,7 +10,6 @@ from stillroom.cli.output.console import STDOUT
 from stillroom.evaluation.report import Evaluation
 from stillroom.evaluation.report_text import HEADER, lines, rows
 
-
 FULL_WIDTH = 106
 LEFT_OUT_WHERE_NARROW = ("mean", "std", "min")
 

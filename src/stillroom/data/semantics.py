@@ -5,6 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
+from stillroom.data.cloud.clusters import Clusters
 from stillroom.geometry.arrays import F32, Bool, Floats
 
 
@@ -48,12 +49,14 @@ class Semantics:
         height, width: Image size [px].
         boxes: Objects of movable classes.
         mask: Pixels of movable things (H, W), where a segmenter gave a mask; None where there are only boxes.
+        clusters: What the depth cloud falls into, where somebody looked; they may move whatever their class is.
     """
 
     height: int
     width: int
     boxes: tuple[Box, ...] = ()
     mask: Bool | None = field(default=None, repr=False)
+    clusters: Clusters | None = field(default=None, repr=False)
 
     @property
     def has_any(self) -> bool:

@@ -1,0 +1,1 @@
+"""Nouns of depth clouds: what one image falls into, and the dense map as it leaves the house."""

@@ -1,0 +1,46 @@
+"""What the depth cloud of one image falls into: planes, and clusters of the rest."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from stillroom.geometry.arrays import F32, I16, I32, Floats
+
+UNKNOWN = -1
+"""Label of a pixel without depth, out of range, or in a clump too small for a cluster."""
+
+PLANE = -2
+"""Label of a pixel on a plane: wall, floor, table top."""
+
+
+@dataclass(frozen=True)
+class Clusters:
+    """K Euclidean clusters of a frame's depth cloud (OC-SLAM 2.3), largest first.
+
+    Attributes:
+        labels: Label image (H, W) int16 on the pixels as taken: 0 … K−1, `PLANE` or `UNKNOWN`.
+        n_points: Points of each after the voxel filter (K,).
+        centroid_m: Mean of their points (K, 3) [m, camera frame].
+        lower_m, upper_m: Corners of the axis-parallel boxes around them (K, 3) [m, camera frame].
+        box: Which of the image's detected boxes covers each (K,), −1 for none.
+        planes: Planes (Q, 4) as unit normal and offset, n·p + d = 0 [m, camera frame], normals towards the camera.
+    """
+
+    labels: I16 = field(repr=False)
+    n_points: I32
+    centroid_m: F32
+    lower_m: F32
+    upper_m: F32
+    box: I32
+    planes: F32
+
+    def __len__(self) -> int:
+        """Number of clusters."""
+        return len(self.n_points)
+
+    def labels_at(self, raw_px: Floats) -> I16:
+        """Return the labels (N,) at points (N, 2) of the image as taken [px]."""
+        height, width = self.labels.shape
+        column = np.clip(np.rint(raw_px[:, 0]).astype(np.int64), 0, width - 1)
+        row = np.clip(np.rint(raw_px[:, 1]).astype(np.int64), 0, height - 1)
+        return np.asarray(self.labels[row, column], dtype=np.int16)

@@ -1,0 +1,192 @@
+"""What every `MatchSieve` must keep.
+
+In a test of your own::
+
+    from stillroom.testing.sieve_contract import check_sieve
+
+    def test_my_sieve():
+        check_sieve(MySieveConfig().build)  # anything that takes a seed and builds a fresh one
+"""
+
+import itertools
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from stillroom.config import SlamConfig
+from stillroom.data.frame import Frame
+from stillroom.data.image import RgbdImage
+from stillroom.data.map import Map
+from stillroom.data.matches import Matches
+from stillroom.data.motion import Motion, Stage
+from stillroom.data.semantics import Semantics
+from stillroom.datasets.open import open_dataset
+from stillroom.geometry.arrays import F64
+from stillroom.geometry.camera import Camera
+from stillroom.protocols import Dataset, MatchSieve, Pending
+from stillroom.system import build as build_slam
+from stillroom.testing.sieve_questions import Question, failing_question, odd_questions
+from stillroom.testing.true_clusters import true_clusters
+
+TINY = "synthetic:walking,frames=20,fps=8,cache=off"
+"""Two and a half seconds; figures walk in from both sides."""
+SEED = 3
+FEWEST_MATCHES = 20
+"""What tracking needs to go on: where there are more, a sieve that would leave fewer is off."""
+
+Build = Callable[[int], MatchSieve]
+
+
+@dataclass(frozen=True)
+class Answer:
+    """A verdict of a run.
+
+    Attributes:
+        stage, index: When it was given, and the number of the image.
+        motion: The verdict.
+    """
+
+    stage: Stage
+    index: int
+    motion: Motion
+
+
+def check_sieve(build: Build, dataset: Dataset | None = None) -> list[Answer]:
+    """Make sure that a match sieve keeps the socket's promises.
+
+    The camera is tracked through a short rendered sequence with the sieve in its place; it is given the renderer's
+    boxes, and its figures as clusters. Then odd questions are put to it, fresh and with the past that the run gave it.
+
+    Args:
+        build: Returns a fresh sieve for a seed.
+        dataset: A rendered sequence of some 20 frames; the package's own where not given.
+
+    Returns:
+        Its verdicts during the run, for what else a test wants to know of them.
+
+    Raises:
+        AssertionError: It does not keep them; the message says which promise is broken, and where.
+    """
+    dataset = dataset or open_dataset(TINY)
+    tracking = _Tracking(build)
+    slam = build_slam(SlamConfig(dynamics=tracking), dataset.camera, _TrueBoxesAndClusters(dataset.camera))
+    for place in range(len(dataset)):
+        slam.process(dataset.load(place))
+    slam.close()
+    tracking.check_answers()
+    last = tracking.last_question(slam.map)
+    numbers = itertools.count(last.frame.image.index + 1)
+    pasts = {"fresh": build(SEED), "with another seed": build(SEED + 1), "after a run": tracking.sieve}
+    for what, question in odd_questions(last):
+        for past, sieve in (pasts | {"fresh": build(SEED)}).items():
+            _check_odd(sieve, question, numbers, f"{what}, {past}")
+    for past, sieve in pasts.items():
+        _check_enough_stay(sieve, last, numbers, past)
+    return tracking.answers
+
+
+class _Tracking:
+    """Sits in the tracker's socket, puts each of its questions to the sieve, twice, and to a twin of it."""
+
+    def __init__(self, build: Build) -> None:
+        self.sieve, self.twin = build(SEED), build(SEED)
+        self.answers: list[Answer] = []
+        self.copies: list[Motion] = []
+        self.last: Question | None = None
+
+    def build(self, seed: int) -> MatchSieve:
+        return self
+
+    def judge(
+        self,
+        stage: Stage,
+        frame: Frame,
+        matches: Matches,
+        semantics: Pending[Semantics],
+        T_cam_world: F64,
+        world: Map,
+    ) -> Motion:
+        question = Question(stage, frame, matches, semantics.result(), T_cam_world, world)
+        where = _where(stage, frame.image.index)
+        motion = _ask(self.sieve, question, where)
+        _check_same(_ask(self.twin, question, where), motion, f"{where}: another one of the same seed")
+        _check_same(_ask(self.sieve, question, where), motion, f"{where}: asked the same once more")
+        self.answers.append(Answer(stage, frame.image.index, motion))
+        self.copies.append(Motion(motion.is_static.copy(), motion.moving.copy()))
+        if stage is Stage.MOTION_MODEL:
+            self.last = question
+        return motion
+
+    def check_answers(self) -> None:
+        missing = {Stage.MOTION_MODEL, Stage.REFERENCE_KEYFRAME, Stage.LOCAL_MAP} - {a.stage for a in self.answers}
+        names = ", ".join(sorted(stage.name for stage in missing))
+        assert not missing, f"tracking never came to {names}: what is left does not suffice"
+        for answer, copy in zip(self.answers, self.copies, strict=True):
+            _check_same(answer.motion, copy, f"{_where(answer.stage, answer.index)}: later, what was answered")
+
+    def last_question(self, world: Map) -> Question:
+        """Return the last question of the motion-model stage, without the points that mapping removed since."""
+        assert self.last is not None
+        matches = self.last.matches
+        matches = matches.keep(world.points.is_alive[matches.point_id])
+        assert len(matches) >= 2 * FEWEST_MATCHES, f"only {len(matches)} matches in the last image"
+        assert self.last.semantics.boxes, "the last image shows nothing that may move; choose another sequence"
+        return replace(self.last, matches=matches)
+
+
+class _TrueBoxesAndClusters:
+    """Tells boxes as a detector would, and clusters as a depth cloud would fall into them."""
+
+    def __init__(self, camera: Camera) -> None:
+        self.camera = camera
+
+    def __call__(self, image: RgbdImage) -> Semantics:
+        assert image.truth is not None, f"image {image.index} carries no truth: the sequence must be a rendered one"
+        clusters = true_clusters(image, self.camera)
+        return Semantics(image.height, image.width, image.truth.boxes, clusters=clusters)
+
+
+def _where(stage: Stage, index: int) -> str:
+    return f"image {index}, {stage.name}"
+
+
+def _ask(sieve: MatchSieve, question: Question, where: str) -> Motion:
+    before = question.fingerprints()
+    motion = question.put_to(sieve)
+    changed = [name for name, checksum in question.fingerprints().items() if checksum != before[name]]
+    assert not changed, f"{where}: the sieve changed what it was given: {', '.join(changed)}"
+    assert isinstance(motion, Motion), f"{where}: the answer is a {type(motion).__name__}, not Motion"
+    image = question.frame.image
+    for name, verdict, shape in (
+        ("is_static", motion.is_static, (len(question.frame),)),
+        ("moving", motion.moving, (image.height, image.width)),
+    ):
+        assert isinstance(verdict, np.ndarray), f"{where}: {name} is a {type(verdict).__name__}, not an array"
+        assert verdict.dtype == np.bool_, f"{where}: {name} is {verdict.dtype}, not bool"
+        assert verdict.shape == shape, f"{where}: {name} is {verdict.shape}, not {shape}; it judges the whole image"
+    return motion
+
+
+def _check_same(motion: Motion, expected: Motion, who: str) -> None:
+    assert np.array_equal(motion.is_static, expected.is_static), f"{who} says otherwise of the keypoints"
+    assert np.array_equal(motion.moving, expected.moving), f"{who} says otherwise of the pixels"
+
+
+def _check_odd(sieve: MatchSieve, question: Question, numbers: Iterator[int], what: str) -> None:
+    for stage in Stage:  # Each about an image of its own: what was judged at another stage must not hang over.
+        motion = _ask(sieve, question.at(stage, next(numbers)), f"{what}, {stage.name}")
+        if stage is Stage.RELOCALIZATION:
+            assert motion.is_static.all(), f"{what}: keypoints are rejected while relocalizing"
+            assert not motion.moving.any(), f"{what}: pixels move while relocalizing"
+
+
+def _check_enough_stay(sieve: MatchSieve, question: Question, numbers: Iterator[int], past: str) -> None:
+    for outside in (0, FEWEST_MATCHES // 2):
+        failing = failing_question(question, outside)
+        for stage in (Stage.MOTION_MODEL, Stage.REFERENCE_KEYFRAME, Stage.LOCAL_MAP):
+            where = f"{past}, {stage.name}, {outside} matches outside"
+            motion = _ask(sieve, failing.at(stage, next(numbers)), where)
+            stay = int(np.count_nonzero(motion.is_static[question.matches.keypoint]))
+            problem = f"{where}: of {len(question.matches)} matches {stay} stay"
+            assert stay >= FEWEST_MATCHES, f"{problem}; the sieve must be off below {FEWEST_MATCHES}"

@@ -3,12 +3,11 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
-
 from stillroom.data.result import FrameResult, Tracked
 from stillroom.data.semantics import Semantics
-from stillroom.errors import ConfigError, StillroomError
+from stillroom.errors import ConfigError
 from stillroom.viz.overlay import draw_verdict
+from stillroom.viz.png import write_png
 
 
 @dataclass(frozen=True)
@@ -65,13 +64,7 @@ class PictureRecorder:
             tracked.motion.moving,
             self._config.scale,
         )
-        path = self._folder / f"frame_{result.index:05d}.png"
-        _, png = cv2.imencode(".png", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
-        try:
-            self._folder.mkdir(parents=True, exist_ok=True)
-            path.write_bytes(png.tobytes())
-        except OSError as error:
-            raise StillroomError(f"{path}: cannot be written ({error.strerror})") from error
+        write_png(self._folder / f"frame_{result.index:05d}.png", picture)
 
     def _wants(self, index: int) -> bool:
         return index in self._frames or (self._config.every > 0 and index % self._config.every == 0)

@@ -1,0 +1,1 @@
+"""Pictures of dense clouds, drawn without a display."""

@@ -1,0 +1,22 @@
+"""Pictures as PNG files."""
+
+from pathlib import Path
+
+import cv2
+
+from stillroom.errors import StillroomError
+from stillroom.geometry.arrays import U8
+
+
+def write_png(path: Path, picture: U8) -> None:
+    """Write a picture (H, W, 3), RGB; its folder is made.
+
+    Raises:
+        StillroomError: The file cannot be written.
+    """
+    _, png = cv2.imencode(".png", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(png.tobytes())
+    except OSError as error:
+        raise StillroomError(f"{path}: cannot be written ({error.strerror})") from error

@@ -13,8 +13,9 @@ from stillroom.data.result import FrameResult, Tracked, TrackingState
 from stillroom.data.semantics import Semantics
 from stillroom.errors import ConfigError, StillroomError
 from stillroom.geometry.camera import Camera
+from stillroom.viz.marks import MOVING, STATIC
 from stillroom.viz.nothing import Nothing
-from stillroom.viz.overlay import MOVING, STATIC, draw_verdict
+from stillroom.viz.overlay import draw_verdict
 from stillroom.viz.recorder import PictureRecorder, PictureRecorderConfig
 
 CAMERA = Camera(64, 48, 50.0, 50.0, 32.0, 24.0)

@@ -15,6 +15,7 @@ from stillroom.datasets.synthetic import sensor
 from stillroom.datasets.synthetic.cache import FrameCache, StoredFrame
 from stillroom.datasets.synthetic.camera_path import CameraPath
 from stillroom.datasets.synthetic.raster import extents_of
+from stillroom.datasets.synthetic.remains import Remains
 from stillroom.datasets.synthetic.render import Rendering, Scene, render
 from stillroom.datasets.synthetic.scene.atlas import AtlasBuilder
 from stillroom.datasets.synthetic.scene.layout import build_room
@@ -111,6 +112,14 @@ class SyntheticRoom:
         time_s = float(self.timestamps_s[index])
         moving = self._semantics(rendering.instance, time_s).movable
         return FrameTruth(self.pose(index), depth_m, rendering.instance, moving)
+
+    def remains(self, last: int = -1) -> Remains:
+        """Return what is static in the end, when frame `last` is the last: the truth of a dense map.
+
+        Raises:
+            IndexError: There is no such frame.
+        """
+        return Remains(self.scene, float(self.timestamps_s[last]))
 
     def pose(self, index: int) -> F64:
         """Return the exact `T_world_cam` (4, 4) of frame `index`."""

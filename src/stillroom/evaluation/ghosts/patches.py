@@ -1,0 +1,62 @@
+"""Exact distances to surfaces that are made of parallelograms and triangles."""
+
+import numpy as np
+from numba import njit
+
+from stillroom.geometry.arrays import F64, Bool, Floats
+
+
+def distances_to_patches_m(points_m: Floats, patches_m: F64, is_triangle: Bool) -> F64:
+    """Return the distance (N,) [m] of points (N, 3) to the nearest patch; infinite where there are no patches.
+
+    Args:
+        points_m: The points [m].
+        patches_m: Corner c and edges a, b (Q, 9) [m]: a patch is all c + s·a + t·b with s, t ≥ 0, and s, t ≤ 1 in a
+            parallelogram, s + t ≤ 1 in a triangle.
+        is_triangle: Which are triangles (Q,).
+    """
+    squared = np.full(len(points_m), np.inf)
+    points = np.ascontiguousarray(points_m, dtype=np.float64)
+    patches = np.ascontiguousarray(patches_m, dtype=np.float64)
+    _nearest(points, patches, np.ascontiguousarray(is_triangle, dtype=np.bool_), squared)
+    return np.asarray(np.sqrt(squared))
+
+
+@njit(nogil=True, cache=True)
+def _nearest(points_m: F64, patches_m: F64, is_triangle: Bool, squared: F64) -> None:
+    """Lower `squared` (N,) [m²] to the squared distance to the nearest patch."""
+    for q in range(len(patches_m)):
+        cx, cy, cz, ax, ay, az, bx, by, bz = patches_m[q]
+        aa, bb, ab = ax * ax + ay * ay + az * az, bx * bx + by * by + bz * bz, ax * bx + ay * by + az * bz
+        area2 = aa * bb - ab * ab
+        if not area2 > 0.0:
+            continue
+        for i in range(len(points_m)):
+            x, y, z = points_m[i, 0] - cx, points_m[i, 1] - cy, points_m[i, 2] - cz
+            pp, pa, pb = x * x + y * y + z * z, x * ax + y * ay + z * az, x * bx + y * by + z * bz
+            s, t = (pa * bb - pb * ab) / area2, (pb * aa - pa * ab) / area2
+            to_plane = _squared(pp, pa, pb, aa, bb, ab, s, t)
+            if to_plane >= squared[i]:
+                continue
+            is_inside = s >= 0.0 and t >= 0.0 and (s + t <= 1.0 if is_triangle[q] else max(s, t) <= 1.0)
+            nearest = to_plane if is_inside else _to_edges(pp, pa, pb, aa, bb, ab, is_triangle[q])
+            squared[i] = min(squared[i], max(0.0, nearest))
+
+
+@njit(nogil=True, cache=True)
+def _squared(pp: float, pa: float, pb: float, aa: float, bb: float, ab: float, s: float, t: float) -> float:
+    """Return |p − s·a − t·b|² from the products of p, a and b."""
+    return pp - 2.0 * (s * pa + t * pb) + s * s * aa + 2.0 * s * t * ab + t * t * bb
+
+
+@njit(nogil=True, cache=True)
+def _to_edges(pp: float, pa: float, pb: float, aa: float, bb: float, ab: float, is_triangle: bool) -> float:
+    """Return the squared distance of p to the nearest edge of the patch."""
+    s, t = min(1.0, max(0.0, pa / aa)), min(1.0, max(0.0, pb / bb))
+    nearest = min(_squared(pp, pa, pb, aa, bb, ab, s, 0.0), _squared(pp, pa, pb, aa, bb, ab, 0.0, t))
+    if is_triangle:
+        k = min(1.0, max(0.0, (pb - pa + aa - ab) / (aa + bb - 2.0 * ab)))
+        return float(min(nearest, _squared(pp, pa, pb, aa, bb, ab, 1.0 - k, k)))
+    s, t = min(1.0, max(0.0, (pa - ab) / aa)), min(1.0, max(0.0, (pb - ab) / bb))
+    far = min(_squared(pp, pa, pb, aa, bb, ab, s, 1.0), _squared(pp, pa, pb, aa, bb, ab, 1.0, t))
+    return float(min(nearest, far))

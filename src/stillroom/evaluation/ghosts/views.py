@@ -1,0 +1,129 @@
+"""Ask depth images about points of the world: is a surface there, or does the ray go on behind it?"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numba import njit
+
+from stillroom.geometry import se3
+from stillroom.geometry.arrays import F32, F64, I32, Floats
+from stillroom.geometry.camera import Camera
+
+NEAREST_M = 0.1
+"""Points nearer to the camera, or behind it, are not seen."""
+
+
+@dataclass(frozen=True)
+class DepthView:
+    """A depth image and where it was taken.
+
+    Attributes:
+        depth_m: Depth (H, W) float32 [m] on the pixels as taken; 0 where unknown.
+        T_world_cam: Pose (4, 4).
+    """
+
+    depth_m: F32 = field(repr=False)
+    T_world_cam: F64
+
+
+@dataclass(frozen=True)
+class Sightings:
+    """What several depth images say of N points.
+
+    Attributes:
+        agree: How many of them have a surface where the point is (N,).
+        passed: How many look through the place of the point at something behind it (N,).
+    """
+
+    agree: I32
+    passed: I32
+
+
+def sightings(
+    points_world_m: Floats,
+    views: Sequence[DepthView],
+    camera: Camera,
+    tolerance_m: float,
+    tolerance_share: float,
+    reach_px: int = 1,
+) -> Sightings:
+    """Ask every view about every point.
+
+    Depth images are wrong by a pixel or two where one thing ends before another, and poses by as much. So a view
+    says that a ray passes only if all that it knows within `reach_px` of the point's pixel lies behind the point, the
+    pixel itself among it; and it agrees if any of these agrees.
+
+    Args:
+        points_world_m: The points (N, 3) [m, world].
+        views: The images.
+        camera: Their calibration.
+        tolerance_m, tolerance_share: A surface is behind the point, or before it, when its depth differs from the
+            point's by more than the first and by more than this share of the depth measured.
+        reach_px: How many pixels around the point's own are asked.
+    """
+    points = np.ascontiguousarray(points_world_m, dtype=np.float64)
+    agree, passed = np.zeros(len(points), dtype=np.int32), np.zeros(len(points), dtype=np.int32)
+    intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion])
+    bounds_px = np.array(camera.undistorted_bounds_px)
+    for view in views:
+        T_cam_world = np.ascontiguousarray(se3.inverse(view.T_world_cam))
+        depth_m = np.ascontiguousarray(view.depth_m)
+        _ask(depth_m, T_cam_world, intrinsics, bounds_px, points, tolerance_m, tolerance_share, reach_px, agree, passed)
+    return Sightings(agree, passed)
+
+
+@njit(nogil=True, cache=True)
+def _ask(
+    depth_m: F32,
+    T_cam_world: F64,
+    intrinsics: F64,
+    bounds_px: F64,
+    points_world_m: F64,
+    tolerance_m: float,
+    tolerance_share: float,
+    reach_px: int,
+    agree: I32,
+    passed: I32,
+) -> None:
+    """Add what one depth image (H, W) says of points (N, 3) to `agree` and `passed` (N,).
+
+    Args:
+        depth_m: The image as taken; 0 where unknown.
+        T_cam_world: Its pose (4, 4).
+        intrinsics: fx fy cx cy k1 k2 p1 p2 k3 (9,).
+        bounds_px: Extent of the undistorted image; beyond it the distortion model means nothing (4,).
+        points_world_m: The points.
+        tolerance_m, tolerance_share, reach_px: See `sightings`.
+        agree, passed: Counters.
+    """
+    fx, fy, cx, cy, k1, k2, p1, p2, k3 = intrinsics
+    height, width = depth_m.shape
+    T = T_cam_world
+    for i in range(len(points_world_m)):
+        X, Y, Z = points_world_m[i]
+        z = T[2, 0] * X + T[2, 1] * Y + T[2, 2] * Z + T[2, 3]
+        if not z > NEAREST_M:
+            continue
+        x = (T[0, 0] * X + T[0, 1] * Y + T[0, 2] * Z + T[0, 3]) / z
+        y = (T[1, 0] * X + T[1, 1] * Y + T[1, 2] * Z + T[1, 3]) / z
+        u, v = fx * x + cx, fy * y + cy
+        if not (bounds_px[0] <= u <= bounds_px[2] and bounds_px[1] <= v <= bounds_px[3]):
+            continue
+        r2 = x * x + y * y
+        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        u = fx * (x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)) + cx
+        v = fy * (y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y) + cy
+        column, row = int(np.floor(u + 0.5)), int(np.floor(v + 0.5))
+        if min(column, row) < reach_px or column >= width - reach_px or row >= height - reach_px:
+            continue
+        all_behind, any_there = depth_m[row, column] > 0.0, False
+        for down in range(row - reach_px, row + reach_px + 1):
+            for across in range(column - reach_px, column + reach_px + 1):
+                seen = depth_m[down, across]
+                if seen > 0.0:
+                    tolerance = max(tolerance_m, tolerance_share * seen)
+                    all_behind = all_behind and seen - z > tolerance
+                    any_there = any_there or abs(seen - z) <= tolerance
+        agree[i] += any_there
+        passed[i] += all_behind

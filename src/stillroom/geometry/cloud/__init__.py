@@ -1,0 +1,1 @@
+"""Depth clouds as arrays: back-projection, voxel filter, planes, Euclidean clusters, label images."""

@@ -1,0 +1,73 @@
+"""From labels of a cloud's points to a label image on all pixels."""
+
+import numpy as np
+from numba import njit
+
+from stillroom.geometry.arrays import F32, I16, I32
+from stillroom.geometry.cloud.backproject import RayGrid
+
+
+def spread_labels(
+    labels: I16, points_m: F32, depth_m: F32, grid: RayGrid, step_m: float, step_share: float, unknown: int
+) -> I16:
+    """Give every pixel the label of the sample around it that is nearest in depth.
+
+    This is OC-SLAM's Eq. 5 (whose print lacks the division by z) read backwards: a point of an organised cloud knows
+    the pixel that it came from, so nothing is projected, no cluster gets holes, and edges follow the depth image.
+
+    Args:
+        labels: Labels of the samples (h, w).
+        points_m: Their points (h, w, 3) [m]; z = 0 where unknown.
+        depth_m: Depth image (H, W) [m].
+        grid: The samples' pixels.
+        step_m, step_share: A pixel further in depth from all four samples around it than max(step_m, step_share · z)
+            belongs to none of them [m].
+        unknown: Label of such pixels, and of those without depth.
+
+    Returns:
+        Labels (H, W) int16.
+    """
+    image = np.full(depth_m.shape, unknown, dtype=np.int16)
+    if labels.size:
+        z = np.ascontiguousarray(points_m[..., 2])
+        spread_into(labels, z, depth_m, grid.rows, grid.columns, np.float32(step_m), np.float32(step_share), image)
+    return image
+
+
+@njit(nogil=True, cache=True)
+def spread_into(
+    labels: I16,
+    z: F32,
+    depth_m: F32,
+    rows: I32,
+    columns: I32,
+    step_m: float,
+    step_share: float,
+    image: I16,
+) -> None:
+    """Fill the label image (H, W); see `spread_labels`."""
+    last_i, last_j = len(rows) - 1, len(columns) - 1
+    height, width = image.shape
+    for i0 in range(last_i + 1):
+        i1 = min(i0 + 1, last_i)
+        top, bottom = (0 if i0 == 0 else rows[i0]), (height if i0 == last_i else rows[i1])
+        for j0 in range(last_j + 1):
+            j1 = min(j0 + 1, last_j)
+            left, right = (0 if j0 == 0 else columns[j0]), (width if j0 == last_j else columns[j1])
+            z0, z1, z2, z3 = z[i0, j0], z[i0, j1], z[i1, j0], z[i1, j1]
+            if z0 <= 0.0 and z1 <= 0.0 and z2 <= 0.0 and z3 <= 0.0:
+                continue
+            a0, a1, a2, a3 = labels[i0, j0], labels[i0, j1], labels[i1, j0], labels[i1, j1]
+            for r in range(top, bottom):
+                for c in range(left, right):
+                    depth = depth_m[r, c]
+                    # An unknown sample's depth of 0 is as far from the pixel's as the pixel is from the camera.
+                    best, label = abs(z0 - depth), a0
+                    if abs(z1 - depth) < best:
+                        best, label = abs(z1 - depth), a1
+                    if abs(z2 - depth) < best:
+                        best, label = abs(z2 - depth), a2
+                    if abs(z3 - depth) < best:
+                        best, label = abs(z3 - depth), a3
+                    if best <= max(step_m, step_share * depth) and 0.0 < depth < np.inf and best < depth:
+                        image[r, c] = label

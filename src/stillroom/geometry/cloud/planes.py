@@ -1,0 +1,175 @@
+"""The large planes of an organised cloud: walls, floor, table tops. Nothing is drawn by lot."""
+
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+
+from stillroom.geometry.arrays import F32, F64, I16, I32, U16, Bool
+from stillroom.geometry.cloud.bend import N_TERMS, area_moments, parabola_sums, plane_misfits, unbend
+from stillroom.geometry.cloud.plane_fit import cell_misfits, cell_sums, fit, grow_regions, misfit
+
+NO_PLANE = -1
+MERGE = 1.5  # times the misfit of one region: two of them on a wall that the camera bends
+GROWN_SHARE = 0.4  # of a plane's area, at least, is whole cells of it
+MIN_BEND_SAMPLES = 200
+RIDGE = 1e-3
+
+
+@dataclass(frozen=True)
+class PlaneLimits:
+    """What counts as a plane.
+
+    Attributes:
+        cell: Edge of the cells that planes are grown from [samples].
+        max_misfit: Largest misfit of a cell to its plane, in inverse depth [1/m]; Kinect noise is about 0.0016 there.
+        tolerance: Largest misfit of a sample on a plane [1/m].
+        max_bend: How far the camera may bend a plane [1/m].
+        window: Edge of the window of samples that must mostly lie on the plane for its centre to [samples].
+        min_share: How much of the window must.
+        min_area_m2: Smallest area seen of a plane; a carried board or a back stays with the clusters.
+        min_width_m: Smallest width of what is seen of it [m]; a person who stands upright is flat, but narrow.
+    """
+
+    cell: int = 5
+    max_misfit: float = 0.004
+    tolerance: float = 0.005
+    max_bend: float = 0.006
+    window: int = 5
+    min_share: float = 0.75
+    min_area_m2: float = 0.5
+    min_width_m: float = 0.5
+
+
+@dataclass(frozen=True)
+class Planes:
+    """Q planes, largest first, and the samples on them.
+
+    Attributes:
+        coefficients: Unit normal towards the camera and offset (Q, 4), n·p + d = 0 [m, camera frame].
+        area_m2: Area seen of each (Q,) [m²].
+        plane_of: Plane of each sample (h, w), −1 for none.
+    """
+
+    coefficients: F32
+    area_m2: F32
+    plane_of: I16 = field(repr=False)
+
+
+def find_planes(points_m: F32, ray_area: float, limits: PlaneLimits) -> Planes:
+    """Find the large planes of an organised cloud (OC-SLAM 2.5: planar model segmentation).
+
+    Cells that lie on one plane are grown into regions, regions on one plane (a wall to the left and to the right of a
+    person) are merged, and samples are given to the planes that are large enough.
+
+    Args:
+        points_m: Points (h, w, 3) [m, camera frame]; z = 0 where unknown.
+        ray_area: Area of one sample's pixel on the plane z = 1.
+        limits: What counts as a plane.
+    """
+    known = points_m[..., 2] > 0
+    n_known = _count(known, (limits.window, limits.window))
+    plane_of = np.full(known.shape, NO_PLANE, dtype=np.int16)
+    kept: list[tuple[F64, float]] = []
+    for slope in _candidates(points_m, ray_area, limits):
+        on_plane = _samples_on(points_m, slope, n_known, limits) & (plane_of == NO_PLANE)
+        area_m2, width_m = _extent(points_m, on_plane, slope, ray_area)
+        if area_m2 >= limits.min_area_m2 and width_m >= limits.min_width_m:
+            plane_of[on_plane] = len(kept)
+            kept.append((slope, area_m2))
+    return _sorted(kept, plane_of)
+
+
+def _candidates(points_m: F32, ray_area: float, limits: PlaneLimits) -> list[F64]:
+    """Return a, b, c of the regions that may be planes, merged, largest first."""
+    sums = cell_sums(points_m, limits.cell)
+    misfits = cell_misfits(sums, max(4, (3 * limits.cell * limits.cell) // 5))
+    seeds = np.argsort(misfits, axis=None, kind="stable")[: int(np.isfinite(misfits).sum())].astype(np.int32)
+    _, totals = grow_regions(sums, misfits, seeds, limits.max_misfit)
+    # Two cells determine a plane badly.
+    totals = totals[totals[:, 0] >= 3 * limits.cell * limits.cell]
+    merged: list[F64] = []
+    for total in totals[np.argsort(-totals[:, 0], kind="stable")]:
+        for i, other in enumerate(merged):
+            if _is_one_plane(other, total, MERGE * limits.max_misfit):
+                merged[i] = other + total
+                break
+        else:
+            merged.append(total)
+    slopes = []
+    for total in sorted(merged, key=lambda total: -float(total[0])):
+        slope = _plane(total)
+        # About the area of the cells: z³ · |a, b, c| is that of a unit of the plane z = 1.
+        area_m2 = total[0] * ray_area * float(np.linalg.norm(slope)) * (total[0] / total[6]) ** 3
+        if area_m2 >= GROWN_SHARE * limits.min_area_m2:
+            slopes.append(slope)
+    return slopes
+
+
+def _is_one_plane(first: F64, second: F64, max_misfit: float) -> bool:
+    plane = _plane(first + second)
+    return bool(misfit(first, plane) <= max_misfit and misfit(second, plane) <= max_misfit)
+
+
+def _plane(sums: F64) -> F64:
+    plane = np.zeros(3)
+    fit(sums, plane)
+    return plane
+
+
+def _samples_on(points_m: F32, slope: F64, n_known: U16, limits: PlaneLimits) -> Bool:
+    """Return which samples (h, w) lie on a plane together with what is around them.
+
+    A surface that crosses the plane is near it in a narrow strip only, which a window over the strip tells.
+    """
+    size = (limits.window, limits.window)
+    off = np.abs(_misfits(points_m, slope, limits))
+    near = off <= np.float32(limits.tolerance)
+    n_near = _count(near, size)
+    mostly = (n_near >= np.float32(limits.min_share) * n_known) & (2 * n_near > limits.window)
+    around = cv2.dilate((near & mostly).view(np.uint8), np.ones(size, np.uint8)) > 0
+    outlier = mostly & (off <= np.float32(2.0 * limits.tolerance))
+    return np.asarray(around & (near | outlier), dtype=np.bool_)
+
+
+def _misfits(points_m: F32, slope: F64, limits: PlaneLimits) -> F32:
+    """Return the misfits (h, w) [1/m] of samples to a plane, less what a wide parabola explains of the small ones.
+
+    A depth camera bends walls, towards the corners of the image most; no person is as flat as to gain by it.
+    """
+    off = plane_misfits(points_m, slope)
+    normal, right, n = parabola_sums(points_m, off, limits.tolerance + limits.max_bend)
+    if n >= MIN_BEND_SAMPLES:
+        # The ridge keeps the parabola flat where the samples do not determine it.
+        unbend(points_m, off, np.linalg.solve(normal + RIDGE * np.eye(N_TERMS), right), limits.max_bend)
+    return np.asarray(off, dtype=np.float32)
+
+
+def _count(mask: Bool, size: tuple[int, int]) -> U16:
+    """Return how many of the samples in a window around each are set (h, w)."""
+    counts = cv2.boxFilter(mask.view(np.uint8), cv2.CV_16U, size, normalize=False, borderType=cv2.BORDER_CONSTANT)
+    return np.asarray(counts, dtype=np.uint16)
+
+
+def _extent(points_m: F32, on_plane: Bool, slope: F64, ray_area: float) -> tuple[float, float]:
+    """Return the area [m²] and the smaller width [m] of the samples (h, w) of a plane with a, b, c."""
+    s = area_moments(points_m, on_plane, float(np.linalg.norm(slope)))
+    if s[0] <= 0.0:
+        return 0.0, 0.0
+    mean = s[1:4] / s[0]
+    second = np.array([[s[4], s[5], s[6]], [s[5], s[7], s[8]], [s[6], s[8], s[9]]]) / s[0]
+    spread = np.linalg.eigvalsh(second - np.outer(mean, mean))
+    # A strip of width w has the variance w² / 12 across.
+    return float(s[0]) * ray_area, float(np.sqrt(12.0 * max(spread[1], 0.0)))
+
+
+def _sorted(kept: list[tuple[F64, float]], plane_of: I16) -> Planes:
+    """Return the planes, largest first, as n·p + d = 0 with the camera on the positive side."""
+    area_m2 = np.array([area for _, area in kept], dtype=np.float32)
+    order: I32 = np.argsort(-area_m2, kind="stable").astype(np.int32)
+    slopes = np.array([slope for slope, _ in kept], dtype=np.float64).reshape(-1, 3)
+    norm = np.linalg.norm(slopes, axis=1, keepdims=True)
+    # (a, b, c)·p = 1; turned round, the origin is on the positive side.
+    coefficients = np.hstack((-slopes, np.ones_like(norm))) / norm
+    rank = np.append(np.argsort(order), NO_PLANE).astype(np.int16)
+    return Planes(coefficients[order].astype(np.float32), area_m2[order], rank[plane_of])

@@ -1,11 +1,13 @@
 """Pictures of the chosen frames lie in the folder, and no others."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
+from stillroom.data.cloud.clusters import PLANE, Clusters
 from stillroom.data.frame import Frame, Keypoints, ScaleLevels
 from stillroom.data.image import RgbdImage
 from stillroom.data.motion import Motion
@@ -13,6 +15,7 @@ from stillroom.data.result import FrameResult, Tracked, TrackingState
 from stillroom.data.semantics import Semantics
 from stillroom.errors import ConfigError, StillroomError
 from stillroom.geometry.camera import Camera
+from stillroom.viz.clusters import draw_clusters
 from stillroom.viz.marks import MOVING, STATIC
 from stillroom.viz.nothing import Nothing
 from stillroom.viz.overlay import draw_verdict
@@ -70,6 +73,33 @@ def test_the_picture_shows_both_sieves_verdicts_in_true_colours(tmp_path: Path) 
         tracked.frame.image.rgb, keypoints.raw_px, is_static, tracked.is_matched, semantics, tracked.motion.moving, 4.0
     )
     np.testing.assert_array_equal(picture, expected)
+
+
+def test_of_each_kind_there_is_a_picture_where_there_is_something_to_draw(tmp_path: Path) -> None:
+    tracked, semantics, result = frame_at(42)
+    labels = np.full((48, 64), PLANE, np.int16)
+    labels[10:30, 10:30] = 0
+    corners = np.zeros((1, 3), np.float32)
+    one = np.array([400], np.int32)
+    clusters = Clusters(labels, one, corners, corners, corners, -one, np.zeros((1, 4), np.float32))
+    recorder = PictureRecorderConfig(every=1, scale=1.0, kinds=("frame", "clusters", "detections")).build(tmp_path)
+    recorder.on_frame(tracked, semantics, result)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["detections_00042.png", "frame_00042.png"]
+    recorder.on_frame(tracked, replace(semantics, clusters=clusters), result)
+    picture = cv2.imread(str(tmp_path / "clusters_00042.png"), cv2.IMREAD_COLOR_RGB)
+    expected = draw_clusters(tracked.frame.image.rgb, clusters, semantics, tracked.motion.moving, 1.0)
+    np.testing.assert_array_equal(picture, expected)
+
+
+def test_clusters_are_drawn_unless_they_are_not_wanted(tmp_path: Path) -> None:
+    assert "clusters" in PictureRecorderConfig().kinds
+    PictureRecorderConfig(every=1, kinds=()).build(tmp_path / "none").on_frame(*frame_at(42))
+    assert not (tmp_path / "none").exists()
+
+
+def test_an_unknown_kind_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"'clouds'.*clusters"):
+        PictureRecorderConfig(kinds=("clouds",)).build(tmp_path)
 
 
 def test_nothing_looks_at_nothing() -> None:

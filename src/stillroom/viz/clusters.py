@@ -11,6 +11,7 @@ from stillroom.viz.marks import (
     MOVING,
     Color,
     draw_box,
+    draw_label,
     draw_legend,
     draw_outline,
     enlarged,
@@ -44,6 +45,9 @@ FADED = 0.65
 CLUSTER_TINT, PLANE_TINT = 0.55, 0.45
 """Share of their colours."""
 
+LARGE_TEXT = 0.3
+"""Size of the labels where nothing but boxes is drawn."""
+
 STEP = 4
 """Neighbours are looked for on every STEP-th pixel, and over a gap of up to REACH of these."""
 REACH = 3
@@ -75,6 +79,7 @@ def draw_clusters(
         draw_outline(picture, softs[label], MOVING, max(1, round(1.5 * scale)))
     for box in semantics.boxes:
         draw_box(picture, box, scale)
+        draw_label(picture, box, scale)
     entries: tuple[tuple[str, Color], ...] = (
         (_count(len(clusters), "cluster"), COLORS[0]),
         (_count(len(clusters.planes), "plane"), PLANES),
@@ -103,11 +108,14 @@ def draw_detections(image: U8, semantics: Semantics, scale: float = 2.0) -> U8:
         draw_outline(picture, soft, CLASSES[0])
     classes = sorted({box.label for box in semantics.boxes})
     colors = {label: CLASSES[place % len(CLASSES)] for place, label in enumerate(classes)}
-    # The surest last, so that its label is not hidden.
-    for box in sorted(semantics.boxes, key=lambda box: box.confidence):
+    # The surest last, and all labels after all edges, so that they can be read.
+    boxes = sorted(semantics.boxes, key=lambda box: box.confidence)
+    for box in boxes:
         draw_box(picture, box, scale, colors[box.label], max(1, round(scale)))
+    for box in boxes:
+        draw_label(picture, box, scale, colors[box.label], LARGE_TEXT)
     counts = [(label, sum(box.label == label for box in semantics.boxes)) for label in classes]
-    entries = tuple((f"{n} {label}", colors[label]) for label, n in counts)
+    entries = tuple((f"{label}: {n}", colors[label]) for label, n in counts)
     draw_legend(picture, entries or (("nothing detected", BOX),), scale)
     return picture
 

@@ -50,19 +50,23 @@ def draw_outline(picture: U8, soft: Floats, color: Color, thickness_px: int = 1)
 
 
 def draw_box(picture: U8, box: Box, scale: float, color: Color = BOX, thickness_px: int = 1) -> None:
-    """Draw a box of the image on a picture that is that many times larger, with class and confidence above it."""
-    x0, y0, x1, y1 = (round((edge + 0.5) * scale - 0.5) for edge in box.xyxy_px)
+    """Draw the edges of an image's box on a picture that is that many times larger."""
+    x0, y0, x1, y1 = _edges_px(box, scale)
     cv2.rectangle(picture, (x0, y0), (x1, y1), color, thickness_px, cv2.LINE_AA)
+
+
+def draw_label(picture: U8, box: Box, scale: float, color: Color = BOX, text_size: float = TEXT) -> None:
+    """Write class and confidence of a box above it, or just inside where it reaches the picture's edge."""
+    x0, y0, _, _ = _edges_px(box, scale)
     text = f"{box.label} {box.confidence:.2f}" + (f", carried {box.carried}" if box.carried else "")
-    size = TEXT * scale
+    size = text_size * scale
     (width, height), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, size, 1)
     pad = round(2 * scale)
     left = min(max(0, x0), picture.shape[1] - width - 2 * pad)
     top = max(0, y0 - height - 2 * pad)
     cv2.rectangle(picture, (left, top), (left + width + 2 * pad, top + height + 2 * pad), color, cv2.FILLED)
-    ink = INK if sum(color) > 330 else BOX
     place = (left + pad, top + pad + height)
-    cv2.putText(picture, text, place, cv2.FONT_HERSHEY_SIMPLEX, size, ink, 1, cv2.LINE_AA)
+    cv2.putText(picture, text, place, cv2.FONT_HERSHEY_SIMPLEX, size, INK, 1, cv2.LINE_AA)
 
 
 def draw_legend(picture: U8, entries: tuple[tuple[str, Color], ...], scale: float) -> None:
@@ -95,3 +99,9 @@ def draw_ring(picture: U8, point_px: Floats, color: Color, scale: float) -> None
 
 def _fixed(point_px: Floats) -> tuple[int, int]:
     return round(float(point_px[0]) * 2**SHIFT), round(float(point_px[1]) * 2**SHIFT)
+
+
+def _edges_px(box: Box, scale: float) -> tuple[int, int, int, int]:
+    # Pixel centres lie at integers in both images, so an edge moves by half a pixel when the image grows.
+    x0, y0, x1, y1 = (round((edge + 0.5) * scale - 0.5) for edge in box.xyxy_px)
+    return x0, y0, x1, y1

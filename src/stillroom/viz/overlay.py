@@ -9,6 +9,7 @@ from stillroom.viz.marks import (
     STATIC,
     draw_box,
     draw_dot,
+    draw_label,
     draw_legend,
     draw_outline,
     draw_ring,
@@ -51,6 +52,7 @@ def draw_verdict(
         draw_outline(picture, soft, MOVING)
     for box in semantics.boxes:
         draw_box(picture, box, scale)
+        draw_label(picture, box, scale)
     # Pixel centres lie at integers in both images, so a point moves by half a pixel when the image grows.
     points_px = (np.asarray(keypoints_raw_px, dtype=np.float64) + 0.5) * scale - 0.5
     for point in points_px[is_static & ~is_matched]:

@@ -6,23 +6,31 @@ from pathlib import Path
 from stillroom.data.result import FrameResult, Tracked
 from stillroom.data.semantics import Semantics
 from stillroom.errors import ConfigError
+from stillroom.geometry.arrays import U8
+from stillroom.viz.clusters import draw_clusters, draw_detections
 from stillroom.viz.overlay import draw_verdict
 from stillroom.viz.png import write_png
+
+VERDICT, CLUSTERS, DETECTIONS = "frame", "clusters", "detections"
+KINDS = (VERDICT, CLUSTERS, DETECTIONS)
 
 
 @dataclass(frozen=True)
 class PictureRecorderConfig:
-    """Which frames are drawn, and how large.
+    """Which frames are drawn, and how.
 
     Attributes:
         every: Every how many frames of the sequence one is drawn, counted by its index; 0 for none.
         frames: Indices of further frames to draw.
         scale: How much larger than the image a picture is.
+        kinds: What is drawn of a frame: "frame" (the verdict on it), "clusters" (where somebody looked for some),
+            "detections".
     """
 
     every: int = 30
     frames: tuple[int, ...] = ()
     scale: float = 2.0
+    kinds: tuple[str, ...] = (VERDICT, CLUSTERS)
 
     def build(self, folder: Path) -> "PictureRecorder":
         """Return a recorder that writes into a folder.
@@ -34,11 +42,14 @@ class PictureRecorderConfig:
             raise ConfigError(f"every is {self.every}; it must be 0 (none) or more")
         if self.scale <= 0:
             raise ConfigError(f"scale is {self.scale}; it must be positive")
+        for kind in self.kinds:
+            if kind not in KINDS:
+                raise ConfigError(f"kinds has '{kind}' in it; there are {', '.join(KINDS)}")
         return PictureRecorder(self, folder)
 
 
 class PictureRecorder:
-    """Writes `frame_00042.png`, a frame with its verdict on it, for the chosen frames of a run."""
+    """Writes `frame_00042.png`, `clusters_00042.png` and so on for the chosen frames of a run."""
 
     def __init__(self, config: PictureRecorderConfig, folder: Path) -> None:
         """Take note of the folder; it is made when the first picture is."""
@@ -50,21 +61,27 @@ class PictureRecorder:
         """Draw the frame, if it is one of the chosen.
 
         Raises:
-            StillroomError: The picture cannot be written.
+            StillroomError: A picture cannot be written.
         """
         if not self._wants(result.index):
             return
-        frame = tracked.frame
-        picture = draw_verdict(
-            frame.image.rgb,
-            frame.keypoints.raw_px,
-            frame.is_static & tracked.motion.is_static,
-            tracked.is_matched,
-            semantics,
-            tracked.motion.moving,
-            self._config.scale,
-        )
-        write_png(self._folder / f"frame_{result.index:05d}.png", picture)
+        for kind in self._config.kinds:
+            picture = self._draw(kind, tracked, semantics)
+            if picture is not None:
+                write_png(self._folder / f"{kind}_{result.index:05d}.png", picture)
+
+    def _draw(self, kind: str, tracked: Tracked, semantics: Semantics) -> U8 | None:
+        """Return a picture of a frame; None where there is nothing of the kind to draw."""
+        frame, motion, scale = tracked.frame, tracked.motion, self._config.scale
+        rgb = frame.image.rgb
+        if kind == DETECTIONS:
+            return draw_detections(rgb, semantics, scale)
+        if kind == CLUSTERS:
+            clusters = semantics.clusters
+            return None if clusters is None else draw_clusters(rgb, clusters, semantics, motion.moving, scale)
+        is_static = frame.is_static & motion.is_static
+        raw_px, is_matched = frame.keypoints.raw_px, tracked.is_matched
+        return draw_verdict(rgb, raw_px, is_static, is_matched, semantics, motion.moving, scale)
 
     def _wants(self, index: int) -> bool:
         return index in self._frames or (self._config.every > 0 and index % self._config.every == 0)

@@ -13,6 +13,15 @@ TRUTH = "#30343b"
 ESTIMATES = ("#1b7fc4", "#e0533d", "#2f9e67", "#9a5fc1", "#c98a12", "#5a6b7b")
 """Colours of the estimates, in order; told apart by colour-blind readers too."""
 
+INK, QUIET, FAINT = "#22262c", "#6a717c", "#d5dae1"
+"""Colours of titles, of notes, and of what only gives a frame."""
+
+KEYFRAMES = "#7f90a6"
+"""Colour of keyframes."""
+
+DPI = 150
+"""Pixels to the inch."""
+
 _RC: dict[str, Any] = {
     "font.family": "sans-serif",
     "font.sans-serif": ["DejaVu Sans"],
@@ -20,7 +29,7 @@ _RC: dict[str, Any] = {
     "axes.titlesize": 12,
     "axes.titlelocation": "left",
     "axes.titlepad": 12,
-    "axes.titlecolor": "#22262c",
+    "axes.titlecolor": INK,
     "axes.labelcolor": "#4a4f57",
     "axes.edgecolor": "#b9bec6",
     "axes.linewidth": 0.8,
@@ -59,7 +68,7 @@ def picture(path: Path, width_in: float, height_in: float) -> Iterator[Any]:
     from matplotlib.figure import Figure
 
     with mpl.rc_context(_RC):
-        figure = Figure(figsize=(width_in, height_in), dpi=150, layout="constrained")
+        figure = Figure(figsize=(width_in, height_in), dpi=DPI, layout="constrained")
         FigureCanvasAgg(figure)
         yield figure
         try:

@@ -28,7 +28,7 @@ def projected(view: View, positions_m: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("T", WORLDS)
 def test_up_is_the_floors_normal_though_the_camera_leans(room: DenseCloud, poses: np.ndarray, T: np.ndarray) -> None:
     lean = se3.exp(np.array([0, 0, 0, 0.2, 0, 0.1]))
-    up = upward(moved(room, T), T @ poses @ lean)
+    up = upward(moved(room, T).normals, T @ poses @ lean)
     assert np.degrees(np.arccos(up @ (T[:3, :3] @ [0, -1, 0]))) < 1.0
 
 

@@ -8,19 +8,13 @@ from stillroom.data.cloud.dense_cloud import DenseCloud
 from stillroom.geometry.arrays import F64, U8
 from stillroom.viz.cloud.render import CloudRendererConfig
 from stillroom.viz.cloud.view import View, default_view
-from stillroom.viz.style import picture
-
-DPI = 150
-"""Pixels per inch of `style.picture`."""
+from stillroom.viz.style import DPI, INK, QUIET, picture
 
 STRIP = 0.10
 """Share of a picture's height that is kept free for the caption."""
 
 GAP_PX = 12
 """Between the two pictures."""
-
-INK = "#22262c"
-FAINT = "#6a717c"
 
 CAPTIONS = ("everything fused", "people removed")
 
@@ -78,5 +72,5 @@ def write_panels(path: Path, panels: list[U8], captions: tuple[str, ...], notes:
             label = figure.text(x, y, caption, fontsize=size, color=INK, weight="bold", va="baseline")
             label.set_in_layout(False)
             x_note = (left + 0.97 * width) / total
-            small = figure.text(x_note, y, note, fontsize=0.62 * size, color=FAINT, ha="right", va="baseline")
+            small = figure.text(x_note, y, note, fontsize=0.62 * size, color=QUIET, ha="right", va="baseline")
             small.set_in_layout(False)

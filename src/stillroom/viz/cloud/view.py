@@ -85,8 +85,8 @@ def default_view(
     Returns:
         The view, with a ceiling cut away where there is one.
     """
-    up = upward(cloud, T_world_cam)
-    forward = _level(T_world_cam[:, :3, 2].mean(axis=0), up)
+    up = upward(cloud.normals, T_world_cam)
+    forward = level(T_world_cam[:, :3, 2].mean(axis=0), up)
     right = np.cross(forward, up)
     forward = np.cos(yaw_rad) * forward + np.sin(yaw_rad) * right
     looking = np.cos(pitch_rad) * forward - np.sin(pitch_rad) * up
@@ -95,24 +95,28 @@ def default_view(
 
 def top_view(cloud: DenseCloud, T_world_cam: F64, width_px: int = 960, height_px: int = 600) -> View:
     """Look straight down, the camera's forward direction upward in the picture; arguments as in `default_view`."""
-    up = upward(cloud, T_world_cam)
-    forward = _level(T_world_cam[:, :3, 2].mean(axis=0), up)
+    up = upward(cloud.normals, T_world_cam)
+    forward = level(T_world_cam[:, :3, 2].mean(axis=0), up)
     return _fitted(cloud, T_world_cam, -up, forward, width_px, height_px)
 
 
-def upward(cloud: DenseCloud, T_world_cam: F64) -> F64:
+def upward(normals: Floats, T_world_cam: F64) -> F64:
     """Return the unit vector (3,) [world] that points up.
 
     A hand-held camera is upright on average, but only within some degrees; floors and table tops are level.
+
+    Args:
+        normals: Unit normals of surfaces (N, 3) [world]; there may be none.
+        T_world_cam: Poses of the camera (M, 4, 4); at least one.
     """
     up = _unit(-T_world_cam[:, :3, 1].mean(axis=0))
     for _ in range(5):
-        level = cloud.normals @ up > LEVEL
-        if np.count_nonzero(level) < 0.01 * max(1, len(cloud)):
+        of_floors = normals @ up > LEVEL
+        if np.count_nonzero(of_floors) < 0.01 * max(1, len(normals)):
             break
-        # Squares of the cosine pull towards the crowd.
-        normals = cloud.normals[level].astype(np.float64)
-        up = _unit(((normals @ up)[:, None] ** 8 * normals).sum(axis=0))
+        flat = normals[of_floors].astype(np.float64)
+        # A high power of the cosine pulls towards the crowd.
+        up = _unit(((flat @ up)[:, None] ** 8 * flat).sum(axis=0))
     return up
 
 
@@ -153,7 +157,7 @@ def _eye(points_m: Floats, camera: Camera) -> F64:
 
 def _ceiling(cloud: DenseCloud, T_world_cam: F64) -> F64 | None:
     """Return the level plane (4,) [world] under a ceiling, for points that look down from above the cameras."""
-    up = upward(cloud, T_world_cam)
+    up = upward(cloud.normals, T_world_cam)
     above_m = float(np.percentile(T_world_cam[:, :3, 3] @ up, 95.0)) + 0.3
     heights_m = cloud.positions_m @ up
     ceiling = (heights_m > above_m) & (cloud.normals @ up < -0.8)
@@ -162,12 +166,12 @@ def _ceiling(cloud: DenseCloud, T_world_cam: F64) -> F64 | None:
     return np.append(up, -(float(np.percentile(heights_m[ceiling], 10.0)) - 0.1))
 
 
-def _level(direction: F64, up: F64) -> F64:
-    """Return the unit vector (3,) along the part of a direction that is perpendicular to up."""
-    level = direction - np.dot(direction, up) * up
-    if np.linalg.norm(level) < 1e-6:  # Straight up or down: any level direction will do.
-        level = np.cross(up, np.eye(3)[int(np.argmin(np.abs(up)))])
-    return _unit(level)
+def level(direction: F64, up: F64) -> F64:
+    """Return the unit vector (3,) along the part of a direction (3,) that is perpendicular to the unit vector up."""
+    across: F64 = direction - np.dot(direction, up) * up
+    if np.linalg.norm(across) < 1e-6:  # Straight up or down: any level direction will do.
+        across = np.cross(up, np.eye(3)[int(np.argmin(np.abs(up)))])
+    return _unit(across)
 
 
 def _unit(vector: Floats) -> F64:

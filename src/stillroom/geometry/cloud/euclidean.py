@@ -147,7 +147,7 @@ def is_whole(order: I64, start: I64, c: int, parent: I32) -> bool:
     a = start[c] + 1
     while a < start[c + 1] and root_of(parent, order[a]) == root:
         a += 1
-    return a == start[c + 1]
+    return bool(a == start[c + 1])
 
 
 @njit(nogil=True, cache=True)

@@ -6,6 +6,7 @@ from stillroom.geometry.arrays import F32, I16, I32, Bool, Floats
 
 NO_BOX = -1
 BIN_M = 0.05
+MANY = 0.6
 
 
 def claim_foregrounds(
@@ -19,8 +20,9 @@ def claim_foregrounds(
 ) -> I16:
     """Give the samples of each box's foreground to the box, so that they can be clustered apart from the rest.
 
-    The foreground's depth is where a window over the depths in the box holds most of the free samples. Boxes claim from
-    the nearest on, and the depth of the next is taken from what is left: of a person half behind another, the rest.
+    The foreground's depth is the nearest at which a window over the depths holds many of the box's free samples. Boxes
+    claim from the nearest on, and the depth of the next is taken from what is left: of a person half behind another,
+    the rest.
 
     Args:
         z_m: Depths of the samples (h, w) [m].
@@ -55,12 +57,18 @@ def _window(box: Floats, rows: I32, columns: I32) -> tuple[slice, slice]:
 
 
 def _mode(z_m: F32, half_depth_m: float) -> tuple[float, int]:
-    """Return the middle of the depth window that holds most samples [m], and how many; the nearest of equals."""
+    """Return the middle of the nearest depth window that holds many samples [m], and how many.
+
+    Many is `MANY` of what any window holds: people stand before furniture more often than behind it.
+    """
     if len(z_m) == 0:
         return 0.0, 0
     counts = np.bincount((z_m / BIN_M).astype(np.int64))
     width = max(1, round(2.0 * half_depth_m / BIN_M))
     held = np.convolve(counts, np.ones(width, dtype=np.int64))
-    last = int(np.argmax(held))
+    last = int(np.argmax(held >= MANY * held.max()))
+    # From where it starts to hold many on to where it holds most.
+    while last + 1 < len(held) and held[last + 1] > held[last]:
+        last += 1
     inside = np.sort(z_m[(z_m >= (last - width + 1) * BIN_M) & (z_m < (last + 1) * BIN_M)])
     return float(inside[len(inside) // 2]) if len(inside) else 0.0, int(held[last])

@@ -14,6 +14,7 @@ MERGE = 1.5  # times the misfit of one region: two of them on a wall that the ca
 GROWN_SHARE = 0.4  # of a plane's area, at least, is whole cells of it
 MIN_BEND_SAMPLES = 200
 RIDGE = 1e-3
+N_PIECES = 3  # of a plane that are looked at, largest first
 
 
 @dataclass(frozen=True)
@@ -27,8 +28,8 @@ class PlaneLimits:
         max_bend: How far the camera may bend a plane [1/m].
         window: Edge of the window of samples that must mostly lie on the plane for its centre to [samples].
         min_share: How much of the window must.
-        min_area_m2: Smallest area seen of a plane; a carried board or a back stays with the clusters.
-        min_width_m: Smallest width of what is seen of it [m]; a person who stands upright is flat, but narrow.
+        min_area_m2: Smallest area seen of one piece of a plane; a carried board or a back stays with the clusters.
+        min_width_m: Smallest width of that piece [m]; a person who stands upright is flat, but narrow.
     """
 
     cell: int = 5
@@ -73,10 +74,9 @@ def find_planes(points_m: F32, ray_area: float, limits: PlaneLimits) -> Planes:
     kept: list[tuple[F64, float]] = []
     for slope in _candidates(points_m, ray_area, limits):
         on_plane = _samples_on(points_m, slope, n_known, limits) & (plane_of == NO_PLANE)
-        area_m2, width_m = _extent(points_m, on_plane, slope, ray_area)
-        if area_m2 >= limits.min_area_m2 and width_m >= limits.min_width_m:
+        if _is_large(points_m, on_plane, slope, ray_area, limits):
             plane_of[on_plane] = len(kept)
-            kept.append((slope, area_m2))
+            kept.append((slope, _extent(points_m, on_plane, slope, ray_area)[0]))
     return _sorted(kept, plane_of)
 
 
@@ -149,6 +149,19 @@ def _count(mask: Bool, size: tuple[int, int]) -> U16:
     """Return how many of the samples in a window around each are set (h, w)."""
     counts = cv2.boxFilter(mask.view(np.uint8), cv2.CV_16U, size, normalize=False, borderType=cv2.BORDER_CONSTANT)
     return np.asarray(counts, dtype=np.uint16)
+
+
+def _is_large(points_m: F32, on_plane: Bool, slope: F64, ray_area: float, limits: PlaneLimits) -> bool:
+    """Tell whether one piece, at least, of a plane's samples (h, w) is large enough.
+
+    The backs of two people who walk abreast lie on one plane, but not in one piece.
+    """
+    _, piece_of, boxes, _ = cv2.connectedComponentsWithStats(on_plane.view(np.uint8), connectivity=8)
+    for piece in np.argsort(-boxes[1:, cv2.CC_STAT_AREA], kind="stable")[:N_PIECES] + 1:
+        area_m2, width_m = _extent(points_m, piece_of == piece, slope, ray_area)
+        if area_m2 >= limits.min_area_m2 and width_m >= limits.min_width_m:
+            return True
+    return False
 
 
 def _extent(points_m: F32, on_plane: Bool, slope: F64, ray_area: float) -> tuple[float, float]:

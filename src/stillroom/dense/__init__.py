@@ -1,0 +1,1 @@
+"""Sieve 3 and what it leaves: a dense map of what stays."""

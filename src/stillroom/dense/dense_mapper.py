@@ -1,0 +1,183 @@
+"""The dense map: keyframes' static pixels in voxels, without what moved, wherever the keyframes are now."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from stillroom.data.cloud.dense_cloud import DenseCloud
+from stillroom.data.image import RgbdImage
+from stillroom.data.map import Map
+from stillroom.dense.carving import Carver, CarvingConfig
+from stillroom.dense.cloud_store import CloudStore
+from stillroom.dense.fused_keyframes import FusedKeyframes
+from stillroom.dense.keyframe_cloud import CloudMaker, KeyframeCloud, SurfaceConfig
+from stillroom.dense.surface_kernels import I8
+from stillroom.dense.voxels.extraction import extract
+from stillroom.dense.voxels.fusing_kernels import FULL_WEIGHT, SCORE, WEIGHT
+from stillroom.dense.voxels.swapped_blocks import SwappedBlocks
+from stillroom.dense.voxels.voxel_map import VoxelMap
+from stillroom.dense.witnesses import lens_of
+from stillroom.geometry import se3
+from stillroom.geometry.arrays import F64, I32, Bool
+from stillroom.geometry.camera import Camera
+
+MB = float(1 << 20)
+CLOUD_SHARE, VOXEL_SHARE, WITNESS_SHARE = 0.45, 0.45, 0.1
+"""What keyframe clouds, voxels and earlier depth images may take of the memory."""
+
+
+@dataclass(frozen=True)
+class DenseMapperConfig:
+    """The dense map.
+
+    Attributes:
+        voxel_m: Edge of a voxel [m].
+        surface: Which pixels are fused.
+        carving: What is taken out again.
+        correction_m: A keyframe is fused anew when its pose in the map has moved a point two metres and a half away by
+            more than this.
+        corrections: Keyframes fused anew with each new keyframe, at most; `refresh` does all.
+        least_pixels: A point needs the weight of this many pixels at one metre; a pixel at four counts 1/16.
+        layer_voxels: How far to either side noise may smear a surface; it comes out as one layer. 0: as it is.
+        max_memory_mb: What the map may hold in memory [MB]; the rest lies in a temporary file. What one view shows
+            stays in any case, and the result of `cloud` comes on top.
+        swap_folder: Where that file goes; "" for the system's own choice.
+    """
+
+    voxel_m: float = 0.02
+    surface: SurfaceConfig = field(default_factory=SurfaceConfig)
+    carving: CarvingConfig = field(default_factory=CarvingConfig)
+    correction_m: float = 0.01
+    corrections: int = 1
+    least_pixels: float = 0.1
+    layer_voxels: int = 4
+    max_memory_mb: float = 512.0
+    swap_folder: Path | None = None
+
+    def build(self, camera: Camera, world: Map) -> "DenseMapper":
+        """Return an empty dense map of a map's keyframes."""
+        return DenseMapper(self, camera, world)
+
+
+class DenseMapper:
+    """Fuses keyframes, removes what moved, follows corrections of the poses."""
+
+    def __init__(self, config: DenseMapperConfig, camera: Camera, world: Map) -> None:
+        """Start empty."""
+        self.config, self.camera, self.world = config, camera, world
+        self.voxels = VoxelMap(config.voxel_m)
+        self._maker = CloudMaker(config.surface, camera)
+        self._clouds = CloudStore(self._maker.shape, CLOUD_SHARE * config.max_memory_mb * MB, config.swap_folder)
+        self._swapped = SwappedBlocks(config.swap_folder)
+        self._fused = FusedKeyframes()
+        n_pixels = self._maker.shape[0] * self._maker.shape[1] / 4
+        most = max(16, int(WITNESS_SHARE * config.max_memory_mb * MB / (2.125 * n_pixels)))
+        self._carver = Carver(config.carving, config.surface, camera, self.voxels, world, most)
+        self._size_px, self._lens = (camera.width, camera.height), lens_of(camera)
+        self._clock = 0
+        self._last_keyframe = -1
+
+    @property
+    def n_bytes(self) -> int:
+        """Memory that is held."""
+        return self.voxels.n_bytes + self._clouds.n_bytes + self._carver.n_bytes
+
+    def integrate(self, keyframe: int, image: RgbdImage, excluded: Bool | None = None) -> None:
+        """Fuse a new keyframe's static pixels, and take out what it shows to be moving or gone.
+
+        Args:
+            keyframe: Its id in the map.
+            image: Its image.
+            excluded: Pixels that move (H, W).
+        """
+        T_world_cam = self.world.keyframe_pose(keyframe)
+        if not np.all(np.isfinite(T_world_cam)):
+            return
+        if keyframe in self._clouds:
+            self._take_out(keyframe)
+        self._bring_back_in_view(T_world_cam)
+        carving = self.config.carving
+        cloud, normals = self._maker.make(image, excluded if carving.removal else None)
+        newborn = self._put_in(keyframe, cloud, normals, T_world_cam)
+        self._last_keyframe = keyframe
+        if carving.removal:
+            self._clock += 1
+            self._carver.judge_keyframe(keyframe, image, excluded, T_world_cam, self._clock)
+            self._carver.ask_earlier(newborn)
+        self._correct(self.config.corrections)
+        self._keep_within_bound(T_world_cam)
+
+    def carve(self, image: RgbdImage, T_world_cam: F64, excluded: Bool | None = None) -> None:
+        """Let a frame that is no keyframe tell what is free; offered every frame, every few are used.
+
+        Args:
+            image: Its image.
+            T_world_cam: Its pose (4, 4).
+            excluded: Pixels that move (H, W); their rays count too, but are no sign of a surface.
+        """
+        if not self.config.carving.removal or self._last_keyframe < 0 or not np.all(np.isfinite(T_world_cam)):
+            return
+        if self._carver.wants_frame():
+            self._clock += 1
+            self._carver.judge_frame(self._last_keyframe, image, excluded, T_world_cam, self._clock)
+
+    def refresh(self) -> None:
+        """Fuse all keyframes anew whose poses in the map have changed, culled ones too."""
+        self._correct(None)
+
+    def cloud(self) -> DenseCloud:
+        """Return the static scene as known now. `refresh` first where poses may have changed."""
+        swapped, config = self._swapped.read_all(), self.config
+        key = np.concatenate((self.voxels.key, swapped["key"]))
+        rows = np.concatenate((self.voxels.rows, swapped["row"]))
+        shown = rows[:, WEIGHT] >= max(1.0, config.least_pixels * FULL_WEIGHT)
+        if config.carving.removal:
+            shown &= rows[:, SCORE] > 0
+        return extract(key[shown], rows[shown], config.voxel_m, config.layer_voxels)
+
+    def _put_in(self, keyframe: int, cloud: KeyframeCloud, normals: I8, T_world_cam: F64) -> I32:
+        """Add a cloud under a pose, and keep it; return the voxels that had no weight before."""
+        placed = self.voxels.place(cloud, self._maker.rays, normals, T_world_cam)
+        self._swapped.back(self.voxels, self._swapped.of_pixels(placed.keys))
+        newborn = self.voxels.add(placed)
+        self._fused.note(keyframe, T_world_cam, self._clock)
+        for lost in self._clouds.put(keyframe, cloud):
+            self._fused.forget(lost)
+        return newborn
+
+    def _take_out(self, keyframe: int) -> tuple[KeyframeCloud, I8]:
+        """Subtract a keyframe where it was added, and return its cloud; what was voided since is no longer usable."""
+        cloud = self._clouds.take(keyframe)
+        normals = self._maker.find_surfaces(cloud)
+        T_world_cam, added_at = self._fused.of(keyframe)
+        placed = self.voxels.place(cloud, self._maker.rays, normals, T_world_cam)
+        self._swapped.back(self.voxels, self._swapped.of_pixels(placed.keys))
+        self.voxels.subtract(placed, added_at)
+        return cloud, normals
+
+    def _correct(self, most: int | None) -> None:
+        """Fuse keyframes anew that moved, the farthest moved first; without a limit, culled ones too."""
+        for keyframe in self._fused.moved(self.world, self.config.correction_m, with_culled=most is None)[:most]:
+            T_world_cam = self.world.keyframe_pose(keyframe)
+            cloud, normals = self._take_out(keyframe)
+            self._clock += 1
+            newborn = self._put_in(keyframe, cloud, normals, T_world_cam)
+            if self.config.carving.removal:
+                self._carver.ask_earlier(newborn)
+            if most is None:
+                self._keep_within_bound(T_world_cam)
+
+    def _bring_back_in_view(self, T_world_cam: F64) -> None:
+        """Bring back what lies in the file and in view, so that it can be judged."""
+        if len(self._swapped):
+            keys = self._swapped.keys
+            self._swapped.back(self.voxels, keys[self._carver.in_view(keys, T_world_cam)])
+
+    def _keep_within_bound(self, T_world_cam: F64) -> None:
+        bound = VOXEL_SHARE * self.config.max_memory_mb * MB
+        if self.voxels.n_bytes > bound:
+            needed = self.voxels.blocks_near(
+                se3.inverse(T_world_cam), self._lens, self._size_px, self.config.surface.far_m
+            )
+            self._swapped.out(self.voxels, bound, needed, T_world_cam)

@@ -1,0 +1,172 @@
+"""What depth rays say of voxels: hit, passed, or nothing. Passes since the last hits decide what is still there."""
+
+import numpy as np
+from numba import njit
+
+from stillroom.dense.voxels.fusing_kernels import BLOCK, FINE, PLACE, SCORE, VOIDED_AT, WEIGHT
+from stillroom.dense.voxels.hash_kernels import AXIS_BITS, AXIS_MASK, HALF
+from stillroom.geometry.arrays import F32, F64, I32, I64, U8, Bool
+
+NOTHING, HIT, PASSED = 0, 1, 2
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def position(key: int, row: int, rows: I32, voxel_m: float) -> tuple[float, float, float]:
+    """Return the mean position [m, world] of a voxel with weight: its corner and the mean inside it."""
+    scale = 1.0 / (FINE * rows[row, WEIGHT])
+    half_step = 0.5 / FINE
+    x = (((key >> (2 * AXIS_BITS)) & AXIS_MASK) - HALF) + rows[row, PLACE] * scale + half_step
+    y = (((key >> AXIS_BITS) & AXIS_MASK) - HALF) + rows[row, PLACE + 1] * scale + half_step
+    z = ((key & AXIS_MASK) - HALF) + rows[row, PLACE + 2] * scale + half_step
+    return x * voxel_m, y * voxel_m, z * voxel_m
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def look(
+    X: float, Y: float, Z: float, T: F64, lens: F64, views: F32, stride: int, tolerance_m: float, share: float
+) -> int:
+    """Ask a small depth image about a point of the world.
+
+    Args:
+        X, Y, Z: The point [m].
+        T: `T_cam_world` (4, 4).
+        lens: fx fy cx cy k1 k2 p1 p2 k3 (9,).
+        views: Of each pixel (h, w, 3): its depth, negative where it shows what moves, 0 where unknown; the nearest and
+            the farthest depth of it and its eight neighbours.
+        stride: Of the small image.
+        tolerance_m, share: Depths agree within the larger of the first and this share of the depth.
+    """
+    z = T[2, 0] * X + T[2, 1] * Y + T[2, 2] * Z + T[2, 3]
+    if z <= 0.1:
+        return NOTHING
+    inverse = 1.0 / z
+    x = (T[0, 0] * X + T[0, 1] * Y + T[0, 2] * Z + T[0, 3]) * inverse
+    y = (T[1, 0] * X + T[1, 1] * Y + T[1, 2] * Z + T[1, 3]) * inverse
+    r2 = x * x + y * y
+    if r2 > 4.0:
+        return NOTHING
+    radial = 1.0 + r2 * (lens[4] + r2 * (lens[5] + r2 * lens[8]))
+    u = lens[0] * (x * radial + 2.0 * lens[6] * x * y + lens[7] * (r2 + 2.0 * x * x)) + lens[2]
+    v = lens[1] * (y * radial + lens[6] * (r2 + 2.0 * y * y) + 2.0 * lens[7] * x * y) + lens[3]
+    if not (u >= 0.0 and v >= 0.0):
+        return NOTHING
+    finer = 1.0 / stride
+    column, row = int(u * finer + 0.5), int(v * finer + 0.5)
+    if row >= views.shape[0] or column >= views.shape[1]:
+        return NOTHING
+    seen = views[row, column, 0]
+    if seen == 0.0:
+        return NOTHING
+    tolerance = max(tolerance_m, share * z)
+    nearest, farthest = views[row, column, 1], views[row, column, 2]
+    if nearest > z + tolerance:
+        return PASSED
+    if seen > 0.0 and (abs(seen - z) <= tolerance or abs(nearest - z) <= tolerance or abs(farthest - z) <= tolerance):
+        return HIT
+    return NOTHING
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def judge_in_view(
+    is_near: Bool,
+    row_key: I64,
+    rows: I32,
+    now: int,
+    voxel_m: float,
+    T_cam_world: F64,
+    lens: F64,
+    views: F32,
+    stride: int,
+    tolerance_m: float,
+    share: float,
+    gain: int,
+    limits: tuple[int, int],
+    said: U8,
+) -> int:
+    """Let a depth image judge all voxels with weight in the blocks (B,) that are near; return how many were voided.
+
+    A hit raises a voxel's score, a pass lowers it, both within limits. A pass at the lower limit voids the voxel.
+
+    Args:
+        is_near: Of each block.
+        row_key, rows: Keys (N,) and columns of the rows.
+        now: Time that voided voxels are marked with.
+        voxel_m: Edge of a voxel.
+        T_cam_world, lens, views, stride, tolerance_m, share: See `look`.
+        gain: What a hit counts; a pass counts 1.
+        limits: Lowest and highest score.
+        said: Takes what was said of each row (N,).
+    """
+    n_voided = 0
+    for i in range(len(row_key)):
+        said[i] = NOTHING
+        if rows[i, WEIGHT] == 0 or not is_near[rows[i, BLOCK]]:
+            continue
+        X, Y, Z = position(row_key[i], i, rows, voxel_m)
+        answer = look(X, Y, Z, T_cam_world, lens, views, stride, tolerance_m, share)
+        said[i] = answer
+        score = rows[i, SCORE]
+        if answer == HIT:
+            rows[i, SCORE] = min(limits[1], score + gain)
+        elif answer == PASSED:
+            if score > limits[0]:
+                rows[i, SCORE] = score - 1
+            else:
+                for k in range(SCORE):
+                    rows[i, k] = 0
+                rows[i, VOIDED_AT] = now
+                n_voided += 1
+    return n_voided
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def judge_rows(
+    chosen: I32,
+    positions_m: F32,
+    rows: I32,
+    T_cam_world: F64,
+    lens: F64,
+    views: F32,
+    stride: int,
+    tolerance_m: float,
+    share: float,
+    gain: int,
+    limits: tuple[int, int],
+) -> None:
+    """Let a depth image judge chosen rows (M,) at positions (M, 3); nothing is voided. Else as `judge_in_view`."""
+    for i in range(len(chosen)):
+        X, Y, Z = positions_m[i]
+        answer = look(X, Y, Z, T_cam_world, lens, views, stride, tolerance_m, share)
+        row = chosen[i]
+        if answer == HIT:
+            rows[row, SCORE] = min(limits[1], rows[row, SCORE] + gain)
+        elif answer == PASSED:
+            rows[row, SCORE] = max(limits[0], rows[row, SCORE] - 1)
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def mean_positions(chosen: I32, row_key: I64, rows: I32, voxel_m: float) -> F32:
+    """Return the mean positions (M, 3) float32 [m, world] of chosen rows (M,), which have weight."""
+    positions_m = np.empty((len(chosen), 3), dtype=np.float32)
+    for i in range(len(chosen)):
+        row = chosen[i]
+        X, Y, Z = position(row_key[row], row, rows, voxel_m)
+        positions_m[i, 0], positions_m[i, 1], positions_m[i, 2] = X, Y, Z
+    return positions_m
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def count_in_view(points_m: F32, T_cam_world: F64, lens: F64, width: int, height: int, far_m: float) -> I64:
+    """Count for each camera (C, 4, 4) how many points (M, 3) [m, world] lie in its image, nearer than `far_m`."""
+    counts = np.zeros(len(T_cam_world), dtype=np.int64)
+    for c in range(len(T_cam_world)):
+        T = T_cam_world[c]
+        for i in range(len(points_m)):
+            X, Y, Z = points_m[i]
+            z = T[2, 0] * X + T[2, 1] * Y + T[2, 2] * Z + T[2, 3]
+            if not 0.1 < z < far_m:
+                continue
+            u = lens[0] * (T[0, 0] * X + T[0, 1] * Y + T[0, 2] * Z + T[0, 3]) / z + lens[2]
+            v = lens[1] * (T[1, 0] * X + T[1, 1] * Y + T[1, 2] * Z + T[1, 3]) / z + lens[3]
+            counts[c] += 0.0 <= u < width and 0.0 <= v < height
+    return counts

@@ -1,0 +1,190 @@
+"""Adding a keyframe's pixels to the voxels, and taking them out again, to the last bit.
+
+Sums are whole numbers: what was added is subtracted exactly, in any order, and no drift is left after a thousand
+corrections.
+"""
+
+import numpy as np
+from numba import njit
+
+from stillroom.dense.surface_kernels import I8
+from stillroom.dense.voxels.hash_kernels import EMPTY, find_slot, pack
+from stillroom.geometry.arrays import F32, F64, I32, I64, U8, U16
+
+FINE = 256
+"""A position inside a voxel is counted in this many steps along each axis."""
+
+FULL_WEIGHT = 16
+"""Weight of a pixel at one metre or nearer; it falls with the square of depth, to 1."""
+
+HEAVIEST = 8_000_000
+"""A voxel takes no more weight than this: 256 times it still fits a 32-bit sum."""
+
+WEIGHT, PLACE, COLOUR, NORMAL, SCORE, VOIDED_AT, BLOCK = 0, 1, 4, 7, 10, 11, 12
+"""Columns of a row: what a voxel needs lies together, for rows are visited in any order.
+
+Sum of weights; of weight times position in the voxel, colour and normal (three columns each); balance of hits and
+passes; when the voxel was last emptied for good; number of its block.
+"""
+
+N_COLUMNS = 13
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def locate(depth: U16, usable: U8, rays: F32, unit_m: float, T_world_cam: F64, voxel_m: float) -> tuple[I64, U8]:
+    """Return the keys (h, w) of the voxels that pixels fall into, and where in them they lie (h, w, 3).
+
+    Args:
+        depth: Depths (h, w) in units.
+        usable: Pixels that count (h, w); the others get the key −1.
+        rays: x/z and y/z of each pixel (h, w, 2).
+        unit_m: One unit of depth.
+        T_world_cam: Pose (4, 4).
+        voxel_m: Edge of a voxel.
+    """
+    height, width = depth.shape
+    keys = np.full((height, width), EMPTY, dtype=np.int64)
+    fine = np.empty((height, width, 3), dtype=np.uint8)
+    T = T_world_cam / voxel_m
+    for y in range(height):
+        for x in range(width):
+            if usable[y, x] == 0:
+                continue
+            z = depth[y, x] * unit_m
+            px, py = rays[y, x, 0] * z, rays[y, x, 1] * z
+            wx = T[0, 0] * px + T[0, 1] * py + T[0, 2] * z + T[0, 3]
+            wy = T[1, 0] * px + T[1, 1] * py + T[1, 2] * z + T[1, 3]
+            wz = T[2, 0] * px + T[2, 1] * py + T[2, 2] * z + T[2, 3]
+            fx, fy, fz = np.floor(wx), np.floor(wy), np.floor(wz)
+            keys[y, x] = pack(int(fx), int(fy), int(fz))
+            fine[y, x, 0] = min(FINE - 1, int((wx - fx) * FINE))
+            fine[y, x, 1] = min(FINE - 1, int((wy - fy) * FINE))
+            fine[y, x, 2] = min(FINE - 1, int((wz - fz) * FINE))
+    return keys, fine
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def pixel_weights(depth: U16, unit_m: float) -> I32:
+    """Return the weight (h, w) of each pixel by its depth."""
+    height, width = depth.shape
+    weights = np.empty((height, width), dtype=np.int32)
+    for y in range(height):
+        for x in range(width):
+            z = depth[y, x] * unit_m
+            weights[y, x] = max(1, min(FULL_WEIGHT, int(FULL_WEIGHT / (z * z + 1e-9) + 0.5)))
+    return weights
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def turn_normals(normals: I8, usable: U8, R_world_cam: F64) -> I8:
+    """Return normals (h, w, 3) of the usable pixels, turned into the world and rounded."""
+    height, width = usable.shape
+    turned = np.zeros((height, width, 3), dtype=np.int8)
+    for y in range(height):
+        for x in range(width):
+            if usable[y, x] == 0:
+                continue
+            nx, ny, nz = float(normals[y, x, 0]), float(normals[y, x, 1]), float(normals[y, x, 2])
+            for k in range(3):
+                value = R_world_cam[k, 0] * nx + R_world_cam[k, 1] * ny + R_world_cam[k, 2] * nz
+                turned[y, x, k] = int(np.rint(max(-127.0, min(127.0, value))))
+    return turned
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def add_pixels(
+    keys: I64,
+    fine: U8,
+    rgb: U8,
+    normals: I8,
+    weights: I32,
+    usable: U8,
+    slot_key: I64,
+    slot_row: I32,
+    row_key: I64,
+    rows: I32,
+    n_rows: int,
+    newborn: I32,
+) -> tuple[int, int]:
+    """Add pixels to the voxels; a pixel for which there is no room or no voxel ceases to be usable.
+
+    Args:
+        keys, fine, rgb, normals, weights, usable: The pixels; see above.
+        slot_key, slot_row: The hash table, with room for all that may come.
+        row_key, rows: Keys (N,) and columns (N, 13) of the rows, with room for all that may come.
+        n_rows: Rows in use.
+        newborn: Takes the rows that had no weight and now have.
+
+    Returns:
+        Rows in use afterwards, and the number of newborn rows.
+    """
+    height, width = keys.shape
+    n_newborn = 0
+    last_key, row = EMPTY, -1
+    for y in range(height):
+        for x in range(width):
+            if usable[y, x] == 0:
+                continue
+            key = keys[y, x]
+            if key == EMPTY:
+                usable[y, x] = 0
+                continue
+            if key != last_key:
+                slot = find_slot(key, slot_key)
+                if slot_key[slot] == EMPTY:
+                    slot_key[slot] = key
+                    slot_row[slot] = n_rows
+                    row_key[n_rows] = key
+                    n_rows += 1
+                last_key, row = key, slot_row[slot]
+            w = weights[y, x]
+            if rows[row, WEIGHT] > HEAVIEST:
+                usable[y, x] = 0
+                continue
+            if rows[row, WEIGHT] == 0:
+                newborn[n_newborn] = row
+                n_newborn += 1
+            rows[row, WEIGHT] += w
+            for k in range(3):
+                rows[row, PLACE + k] += w * fine[y, x, k]
+                rows[row, COLOUR + k] += w * rgb[y, x, k]
+                rows[row, NORMAL + k] += w * normals[y, x, k]
+    return n_rows, n_newborn
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def subtract_pixels(
+    keys: I64,
+    fine: U8,
+    rgb: U8,
+    normals: I8,
+    weights: I32,
+    usable: U8,
+    slot_key: I64,
+    slot_row: I32,
+    rows: I32,
+    added_at: int,
+) -> None:
+    """Take pixels out of the voxels that they were added to at the time `added_at`.
+
+    Where a voxel was voided since, the pixel is no longer in it, and ceases to be usable: it showed what moved.
+    """
+    height, width = keys.shape
+    last_key, row = EMPTY, -1
+    for y in range(height):
+        for x in range(width):
+            if usable[y, x] == 0:
+                continue
+            key = keys[y, x]
+            if key != last_key:
+                slot = find_slot(key, slot_key)
+                last_key, row = key, (slot_row[slot] if slot_key[slot] != EMPTY else -1)
+            if row < 0 or rows[row, VOIDED_AT] > added_at:
+                usable[y, x] = 0
+                continue
+            w = weights[y, x]
+            rows[row, WEIGHT] -= w
+            for k in range(3):
+                rows[row, PLACE + k] -= w * fine[y, x, k]
+                rows[row, COLOUR + k] -= w * rgb[y, x, k]
+                rows[row, NORMAL + k] -= w * normals[y, x, k]

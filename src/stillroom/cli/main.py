@@ -47,8 +47,11 @@ COMMANDS = (
     ),
     Command("run", "stillroom.cli.run:run", "Track the camera through a sequence."),
     Command("evaluate", "stillroom.cli.evaluate:evaluate", "Say how good a trajectory is."),
-    Command("methods", "stillroom.cli.methods:methods", "List the methods."),
-    Command("show-config", "stillroom.cli.show_config:show_config", "Print the configuration of a method as TOML."),
+    Command("export", "stillroom.cli.export:export", "Turn the dense map of a run into files for other programs."),
+    Command("methods", "stillroom.cli.describe.methods:methods", "List the methods."),
+    Command(
+        "show-config", "stillroom.cli.describe.show_config:show_config", "Print the configuration of a method as TOML."
+    ),
     Command("bench", "stillroom.cli.bench:app", "Measure accuracy over seeds, the worth of rejection, and speed."),
     Command("download", "stillroom.cli.download:download", "Fetch a data set or the weights of YOLO-Fastest."),
     Command("warmup", "stillroom.cli.warmup:warmup", "Compile all kernels now, so that the first run starts at once."),

@@ -1,0 +1,1 @@
+"""Commands that only tell what there is."""

@@ -15,7 +15,7 @@ from stillroom.viz.marks import (
     draw_legend,
     draw_outline,
     enlarged,
-    soft_mask,
+    mix,
     tint,
 )
 
@@ -69,14 +69,13 @@ def draw_clusters(
         The picture (H·scale, W·scale, 3), RGB.
     """
     picture = enlarged(_faded(image), scale)
-    tint(picture, soft_mask(clusters.labels == PLANE, picture), PLANES, PLANE_TINT)
-    softs = [soft_mask(clusters.labels == label, picture) for label in range(len(clusters))]
-    for soft, color in zip(softs, cluster_colors(clusters), strict=True):
-        tint(picture, soft, color, CLUSTER_TINT)
-        draw_outline(picture, soft, color)
+    colors = cluster_colors(clusters)
+    _tint_labels(picture, clusters.labels, colors)
     moves = _moving_clusters(clusters, moving)
-    for label in np.flatnonzero(moves):
-        draw_outline(picture, softs[label], MOVING, max(1, round(1.5 * scale)))
+    # Those that move last, so that no neighbour's edge covers theirs.
+    for label in np.argsort(moves, kind="stable"):
+        edge = (MOVING, max(1, round(1.5 * scale))) if moves[label] else (colors[label], 1)
+        draw_outline(picture, clusters.labels == label, *edge)
     for box in semantics.boxes:
         draw_box(picture, box, scale)
         draw_label(picture, box, scale)
@@ -103,9 +102,8 @@ def draw_detections(image: U8, semantics: Semantics, scale: float = 2.0) -> U8:
     """
     picture = enlarged(image, scale)
     if semantics.mask is not None:
-        soft = soft_mask(semantics.mask, picture)
-        tint(picture, soft, CLASSES[0], CLUSTER_TINT)
-        draw_outline(picture, soft, CLASSES[0])
+        tint(picture, semantics.mask, CLASSES[0], CLUSTER_TINT)
+        draw_outline(picture, semantics.mask, CLASSES[0])
     classes = sorted({box.label for box in semantics.boxes})
     colors = {label: CLASSES[place % len(CLASSES)] for place, label in enumerate(classes)}
     # The surest last, and all labels after all edges, so that they can be read.
@@ -129,6 +127,16 @@ def cluster_colors(clusters: Clusters) -> tuple[Color, ...]:
         turn = [(label + k) % len(COLORS) for k in range(len(COLORS))]
         chosen.append(next((color for color in turn if color not in taken), turn[0]))
     return tuple(COLORS[color] for color in chosen)
+
+
+def _tint_labels(picture: U8, labels: I16, colors: tuple[Color, ...]) -> None:
+    """Mix each label's colour into a picture, in place."""
+    # One row a label, from PLANE and UNKNOWN up: colour times share, and share.
+    table = np.zeros((len(colors) + 2, 4), dtype=np.float32)
+    table[PLANE + 2] = [*(PLANE_TINT * np.array(PLANES)), PLANE_TINT]
+    for label, color in enumerate(colors):
+        table[label + 2] = [*(CLUSTER_TINT * np.array(color)), CLUSTER_TINT]
+    mix(picture, table[labels.astype(np.int64) + 2])
 
 
 def _neighbours(labels: I16, n: int) -> Bool:

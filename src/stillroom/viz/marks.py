@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 
 from stillroom.data.semantics import Box
-from stillroom.geometry.arrays import U8, Bool, Floats
+from stillroom.geometry.arrays import F32, U8, Bool, Floats
 
 Color = tuple[int, int, int]
 
@@ -19,6 +19,9 @@ TINT = 0.30
 TEXT = 0.22
 """Size of letters, for cv2's font, of a picture as large as the image."""
 
+AROUND_PX = 4
+"""Pixels of the image around a mask that its edge may depend on."""
+
 SHIFT = 4
 """Sub-pixel bits of cv2's drawing calls."""
 
@@ -29,24 +32,41 @@ def enlarged(image: U8, scale: float) -> U8:
     return np.array(cv2.resize(image, size, interpolation=cv2.INTER_CUBIC), dtype=np.uint8)
 
 
-def soft_mask(mask: Bool, picture: U8) -> Floats:
-    """Enlarge a mask (H, W) to the size of a picture, 0 … 1, with an edge as soft as the enlargement."""
-    height, width = picture.shape[:2]
-    soft = cv2.resize(mask.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR)
-    return np.asarray(cv2.GaussianBlur(soft, (0, 0), 1.5), dtype=np.float32)
+def mix(picture: U8, colors: F32) -> None:
+    """Mix colours of the size of the image into a picture, with edges as soft as the enlargement.
+
+    Args:
+        picture: The picture, changed in place.
+        colors: Share times red, green, blue, and the share itself (H, W, 4), 0 … 1.
+    """
+    soft = _softly_enlarged(colors, picture.shape[1], picture.shape[0])
+    picture[:] = np.rint(picture * (1.0 - soft[..., 3:]) + soft[..., :3]).astype(np.uint8)
 
 
-def tint(picture: U8, soft: Floats, color: Color, share: float = TINT) -> None:
-    """Mix a colour into a picture, most where the soft mask (H, W) is 1."""
-    mixed = (share * soft)[..., None]
-    picture[:] = np.rint(picture * (1.0 - mixed) + np.array(color, dtype=np.float32) * mixed).astype(np.uint8)
+def tint(picture: U8, mask: Bool, color: Color, share: float = TINT) -> None:
+    """Mix a colour into the pixels of a mask (H, W) of the size of the image."""
+    mix(picture, mask.astype(np.float32)[..., None] * np.array([*(share * np.array(color)), share], dtype=np.float32))
 
 
-def draw_outline(picture: U8, soft: Floats, color: Color, thickness_px: int = 1) -> None:
-    """Draw the edge of a soft mask (H, W)."""
-    mask = (soft > 0.5).astype(np.uint8)
-    outlines, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    cv2.drawContours(picture, outlines, -1, color, thickness_px, cv2.LINE_AA)
+def draw_outline(picture: U8, mask: Bool, color: Color, thickness_px: int = 1) -> None:
+    """Draw the edge of a mask (H, W) of the size of the image on a picture that may be larger."""
+    x, y, width, height = cv2.boundingRect(mask.astype(np.uint8))
+    if width == 0:
+        return
+    # Only around what there is, for a frame may have many small clusters; with some pixels for the edge's softness.
+    x0, y0 = max(0, x - AROUND_PX), max(0, y - AROUND_PX)
+    part = mask[y0 : y + height + AROUND_PX, x0 : x + width + AROUND_PX]
+    scale_x, scale_y = picture.shape[1] / mask.shape[1], picture.shape[0] / mask.shape[0]
+    size = round(part.shape[1] * scale_x), round(part.shape[0] * scale_y)
+    inside = (_softly_enlarged(part.astype(np.float32), *size) > 0.5).astype(np.uint8)
+    outlines, _ = cv2.findContours(inside, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    moved = [outline + np.array([round(x0 * scale_x), round(y0 * scale_y)], np.int32) for outline in outlines]
+    cv2.drawContours(picture, moved, -1, color, thickness_px, cv2.LINE_AA)
+
+
+def _softly_enlarged(values: F32, width: int, height: int) -> F32:
+    large = cv2.resize(values, (width, height), interpolation=cv2.INTER_LINEAR)
+    return np.asarray(cv2.GaussianBlur(large, (0, 0), 1.5), dtype=np.float32)
 
 
 def draw_box(picture: U8, box: Box, scale: float, color: Color = BOX, thickness_px: int = 1) -> None:

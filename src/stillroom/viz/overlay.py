@@ -14,7 +14,6 @@ from stillroom.viz.marks import (
     draw_outline,
     draw_ring,
     enlarged,
-    soft_mask,
     tint,
 )
 
@@ -47,9 +46,8 @@ def draw_verdict(
     """
     picture = enlarged(image, scale)
     if moving.any():
-        soft = soft_mask(moving, picture)
-        tint(picture, soft, MOVING)
-        draw_outline(picture, soft, MOVING)
+        tint(picture, moving, MOVING)
+        draw_outline(picture, moving, MOVING)
     for box in semantics.boxes:
         draw_box(picture, box, scale)
         draw_label(picture, box, scale)

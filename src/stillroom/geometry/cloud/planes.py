@@ -1,5 +1,6 @@
 """The large planes of an organised cloud: walls, floor, table tops. Nothing is drawn by lot."""
 
+import math
 from dataclasses import dataclass, field
 
 import cv2
@@ -7,6 +8,7 @@ import numpy as np
 
 from stillroom.geometry.arrays import F32, F64, I16, I32, U16, Bool
 from stillroom.geometry.cloud.bend import N_TERMS, area_moments, parabola_sums, plane_misfits, unbend
+from stillroom.geometry.cloud.continuation import continue_planes, give_samples, planes_of_cells
 from stillroom.geometry.cloud.plane_fit import cell_misfits, cell_sums, fit, grow_regions, misfit
 
 NO_PLANE = -1
@@ -26,6 +28,8 @@ class PlaneLimits:
         max_misfit: Largest misfit of a cell to its plane, in inverse depth [1/m]; Kinect noise is about 0.0016 there.
         tolerance: Largest misfit of a sample on a plane [1/m].
         max_bend: How far the camera may bend a plane [1/m].
+        max_off, max_step, max_turn_rad: A flat cell next to a plane continues it when it lies no further off than the
+            first and no further than the second from the cell that it is next to [1/m], and is turned no more [rad].
         window: Edge of the window of samples that must mostly lie on the plane for its centre to [samples].
         min_share: How much of the window must.
         min_area_m2: Smallest area seen of one piece of a plane; a carried board or a back stays with the clusters.
@@ -36,6 +40,9 @@ class PlaneLimits:
     max_misfit: float = 0.004
     tolerance: float = 0.005
     max_bend: float = 0.006
+    max_off: float = 0.02
+    max_step: float = 0.005
+    max_turn_rad: float = 0.4
     window: int = 5
     min_share: float = 0.75
     min_area_m2: float = 0.5
@@ -72,18 +79,24 @@ def find_planes(points_m: F32, ray_area: float, limits: PlaneLimits) -> Planes:
     n_known = _count(known, (limits.window, limits.window))
     plane_of = np.full(known.shape, NO_PLANE, dtype=np.int16)
     kept: list[tuple[F64, float]] = []
-    for slope in _candidates(points_m, ray_area, limits):
+    sums = cell_sums(points_m, limits.cell)
+    misfits = cell_misfits(sums, max(4, (3 * limits.cell * limits.cell) // 5))
+    for slope in _candidates(sums, misfits, ray_area, limits):
         on_plane = _samples_on(points_m, slope, n_known, limits) & (plane_of == NO_PLANE)
         if _is_large(points_m, on_plane, slope, ray_area, limits):
             plane_of[on_plane] = len(kept)
             kept.append((slope, _extent(points_m, on_plane, slope, ray_area)[0]))
+    if kept:
+        slopes = np.array([slope for slope, _ in kept])
+        of_cell = planes_of_cells(points_m, plane_of, limits.cell, len(kept))
+        reach = (limits.max_misfit, limits.max_off, limits.max_step, math.cos(limits.max_turn_rad))
+        added = continue_planes(sums, misfits, slopes, of_cell, *reach)
+        give_samples(points_m, sums, added, limits.cell, limits.tolerance, plane_of)
     return _sorted(kept, plane_of)
 
 
-def _candidates(points_m: F32, ray_area: float, limits: PlaneLimits) -> list[F64]:
-    """Return a, b, c of the regions that may be planes, merged, largest first."""
-    sums = cell_sums(points_m, limits.cell)
-    misfits = cell_misfits(sums, max(4, (3 * limits.cell * limits.cell) // 5))
+def _candidates(sums: F64, misfits: F64, ray_area: float, limits: PlaneLimits) -> list[F64]:
+    """Return a, b, c of the regions of cells that may be planes, merged, largest first."""
     seeds = np.argsort(misfits, axis=None, kind="stable")[: int(np.isfinite(misfits).sum())].astype(np.int32)
     _, totals = grow_regions(sums, misfits, seeds, limits.max_misfit)
     # Two cells determine a plane badly.

@@ -1,6 +1,8 @@
 """The commands and what they print."""
 
+import inspect
 import json
+import textwrap
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
@@ -59,6 +61,25 @@ def test_every_command_has_help(command: command_line.Command, stillroom: Callab
     # Examples keep a line of their own.
     for line in said.out.splitlines():
         assert line.count("stillroom ") <= 1 or "Usage" in line
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command.name)
+def test_help_flows_in_a_terminal_of_80_columns(
+    command: command_line.Command, stillroom: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A line break of the source in the middle of a paragraph leaves a stump."""
+    monkeypatch.setenv("COLUMNS", "80")
+    loaded = command.load()
+    apps = {(): loaded.__doc__}
+    if isinstance(loaded, typer.Typer):
+        apps = {(inner.callback.__name__,): inner.callback.__doc__ for inner in loaded.registered_commands}
+    for words, docstring in apps.items():
+        said = [line.strip() for line in stillroom(command.name, *words, "--help").out.splitlines()]
+        for paragraph in inspect.cleandoc(docstring).split("\n\n"):
+            examples = paragraph.startswith(" ")
+            lines = paragraph.split("\n") if examples else textwrap.wrap(" ".join(paragraph.split()), 78)
+            start = said.index(lines[0].strip())
+            assert said[start : start + len(lines)] == [line.strip() for line in lines]
 
 
 def test_the_help_lists_all_commands(stillroom: Callable) -> None:
@@ -161,6 +182,7 @@ def test_the_chosen_folder_must_be_new(stillroom: Callable) -> None:
     said = stillroom("run", "synthetic:walking", "--frames", ":3", "--method", "orb-slam2", "--out", "full")
     assert said.code == 1
     assert "full: is not empty" in said.errors[0]
+    assert said.err.count("\n") == 1, "told before the kernels are compiled"
     assert [path.name for path in Path("full").iterdir()] == ["mine"]
 
 

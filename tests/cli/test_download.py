@@ -79,7 +79,9 @@ def test_a_folder_of_ones_own(served: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("target", "says"), [("bonn/absent", "no such file"), ("kitti/00", "known: tum/<name>")])
 def test_what_cannot_be_had_is_one_line(served: Path, target: str, says: str) -> None:
-    error = run(target).exception
+    result = run(target)
+    error = result.exception
+    assert result.output == "", "the command line prints the error, and nothing else is said"
     assert isinstance(error, DownloadError)
     assert says in str(error)
     assert "\n" not in str(error)

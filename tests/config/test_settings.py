@@ -147,7 +147,7 @@ def test_the_last_override_counts_and_the_original_stays() -> None:
 def test_wrong_overrides_say_what_is_wrong(override: str, message: str) -> None:
     with pytest.raises(ConfigError) as caught:
         with_overrides(Everything(), [override])
-    assert message in str(caught.value)
+    assert str(caught.value).startswith(message)
     assert "\n" not in str(caught.value)
 
 

@@ -118,6 +118,13 @@ def test_a_damaged_archive_is_refused(tiny: Path, tmp_path: Path) -> None:
         archive.unpacked(path)
 
 
+def test_what_is_called_an_archive_and_is_none_is_said_shortly(tmp_path: Path) -> None:
+    """tarfile has a word on each kind of compression."""
+    (tmp_path / "a.tgz").write_text("<html>404</html>")
+    with pytest.raises(DatasetError, match=r"a\.tgz: not a whole archive \([^:]{5,60}\); delete it and fetch it again"):
+        open_dataset(str(tmp_path / "a.tgz"))
+
+
 def test_an_archive_of_something_else_is_said(tmp_path: Path) -> None:
     with tarfile.open(tmp_path / "a.tgz", "w:gz") as tar:
         add_file(tar, "docs/readme.md")

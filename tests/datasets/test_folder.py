@@ -125,7 +125,7 @@ def test_a_bare_name_is_sought_where_data_lies(tiny: Path, tmp_path: Path, monke
     monkeypatch.setenv("STILLROOM_DATA", str(tmp_path))
     monkeypatch.chdir(tmp_path / "tiny" / "rgb")
     assert open_dataset("tiny").name == "tiny"
-    with pytest.raises(DatasetError, match="tinny: no such folder or archive"):
+    with pytest.raises(DatasetError, match=f"tinny: no such folder or archive here, nor in {tmp_path}, .*download"):
         open_dataset("tinny")
 
 

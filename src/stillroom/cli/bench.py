@@ -71,7 +71,7 @@ def accuracy(
 @app.command()
 def rejection(
     sequence: Sequence1,
-    method: Annotated[str, typer.Option(help="The preset whose sieve is on trial.")] = "oc-slam",
+    method: Annotated[str, typer.Option(metavar="NAME", help="The preset whose sieve is on trial.")] = "oc-slam",
     runs: Runs = 1,
     frames: Frames = None,
     camera: Camera = None,

@@ -1,7 +1,7 @@
 """`stillroom download`: sequences and weights from their own addresses."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Self
 
 import typer
 from rich.console import Console
@@ -33,11 +33,9 @@ def download(
 
     Names are those of the data sets, with or without their prefix:
 
-    stillroom download models
-
-    stillroom download bonn/crowd
-
-    stillroom download tum/freiburg3_walking_xyz
+        stillroom download models
+        stillroom download bonn/crowd
+        stillroom download tum/freiburg3_walking_xyz
     """
     models = target == "models"
     folder = to if to is not None else models_home() if models else data_home()
@@ -65,8 +63,19 @@ class _Bars(Progress):
         )
         self._bar_of: dict[str, TaskID] = {}
 
+    def __enter__(self) -> Self:
+        """Show nothing before there is a file to fetch."""
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        """Let go of the terminal."""
+        if self._bar_of:
+            self.stop()
+
     def __call__(self, name: str, done_bytes: int, total_bytes: int | None) -> None:
         """Move the file's bar."""
+        if not self._bar_of:
+            self.start()
         if name not in self._bar_of:
             self._bar_of[name] = self.add_task(name)
         self.update(self._bar_of[name], completed=done_bytes, total=total_bytes)

@@ -36,12 +36,12 @@ def evaluate(
 ) -> None:
     """Say how good a trajectory is.
 
-    ATE and RPE against the ground truth, and what a camera that never moved would have. Figures and pictures are
-    written into the folder of the run.
+    ATE and RPE against the ground truth, and what a camera that never moved would have.
 
-    stillroom evaluate results/latest --baseline results/2026-01-31_12-00_orb-slam2_rgbd_bonn_crowd
+    Figures and pictures are written into the folder of the run.
 
-    stillroom evaluate --estimate mine.txt --groundtruth groundtruth.txt
+        stillroom evaluate results/latest --baseline results/the_run_before
+        stillroom evaluate --estimate mine.txt --groundtruth groundtruth.txt
     """
     from stillroom.cli.output.console import show_log
     from stillroom.evaluation.metrics_json import to_json

@@ -4,7 +4,9 @@ Only the module of the command that is asked for is imported: `stillroom --help`
 """
 
 import importlib
+import inspect
 import os
+import re
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -75,10 +77,17 @@ def application(chosen: str | None = None) -> typer.Typer:
             continue
         loaded = command.load()
         if isinstance(loaded, typer.Typer):
+            for inner in loaded.registered_commands:
+                inner.help = flowing(inner.callback.__doc__ if inner.callback else None)
             app.add_typer(loaded, name=command.name)
         else:
-            app.command(command.name)(loaded)
+            app.command(command.name, help=flowing(loaded.__doc__))(loaded)
     return app
+
+
+def flowing(docstring: str | None) -> str:
+    """Return a docstring as help: paragraphs on one line each, for any width; indented examples stay as they are."""
+    return re.sub(r"(?<!\n)\n(?![\n ])", " ", inspect.cleandoc(docstring or ""))
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -41,7 +41,7 @@ def run(
     ] = None,
     seed: Seed = None,
     schedule: Annotated[
-        ScheduleName, typer.Option(help="in-order: one thread, the same input gives the same bytes.")
+        ScheduleName, typer.Option(help="in-order: the same input gives the same bytes; live is not there yet.")
     ] = ScheduleName.IN_ORDER,
     camera: Annotated[
         str | None, typer.Option(metavar="NAME|FILE", help="The calibration, where it is not the sequence's own.")
@@ -60,9 +60,10 @@ def run(
 
     Writes trajectory, figures and pictures into a folder in results/; Ctrl-C ends a run early and keeps what there is.
 
-    stillroom run rgbd_bonn_crowd --method oc-slam
+    An archive is unpacked once into the user's cache, ~/.cache/stillroom/unpacked, and stays there until you delete it.
 
-    stillroom run synthetic:walking --frames 0:90 --set semantics.kind=truth
+        stillroom run rgbd_bonn_crowd --method oc-slam
+        stillroom run synthetic:walking --frames 0:90 --set semantics.kind=truth
     """
     if schedule is ScheduleName.LIVE:
         raise ConfigError("--schedule live is not in this version; leave it out, or say in-order")
@@ -87,15 +88,16 @@ def _track(
     from stillroom.cli.warmup import ensure_warm
     from stillroom.pipeline import RunOptions
     from stillroom.pipeline import run as run_pipeline
+    from stillroom.pipeline.folders import chosen_folder
     from stillroom.pipeline.options import detector_ranges
 
     show_log()
     dataset = source.open()
     options = RunOptions(
-        folder=out,
+        folder=chosen_folder(out) if out is not None else None,
         pictures=pictures,
         detector_off=detector_ranges(detector_off, dataset),
-        segmenter=chosen.semantics.build(),  # now: absent weights are told before kernels are compiled
+        segmenter=chosen.semantics.build(),  # now: what is absent is told before kernels are compiled
         source=source,
         asked={"schedule": schedule.value},
     )

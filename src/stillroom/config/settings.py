@@ -88,7 +88,9 @@ def updated(config: C, values: Mapping[str, Any], source: str = "") -> C:
         changed: C = _updated(config, values, ())
         return changed
     except ConfigError as error:
-        raise ConfigError(f"{source}: {error}") from None if source else error
+        if not source:
+            raise
+        raise ConfigError(f"{source}: {error}") from None
 
 
 def with_overrides(config: C, overrides: Iterable[str]) -> C:

@@ -32,6 +32,11 @@ def models_folder(name: str) -> Path | None:
     return _first_existing("STILLROOM_MODELS", "models", name)
 
 
+def data_folders() -> list[Path]:
+    """Return the folders in which a sequence is sought by its bare name, in order; they need not exist."""
+    return _roots("STILLROOM_DATA", "data")
+
+
 def sequence_path(name: str) -> Path | None:
     """Return the first existing folder or archive `name` in the search order for sequences."""
     return _first_existing("STILLROOM_DATA", "data", name)

@@ -94,7 +94,8 @@ def unpack(archive: Path, folder: Path) -> None:
         if not folder.exists():  # another run may have been faster
             half_done.rename(folder)
     except UNREADABLE as error:
-        raise BrokenArchiveError(f"{archive}: not a whole archive ({error}); delete it and fetch it again") from error
+        reason = str(error).partition(":")[0]  # tarfile goes on with what each kind of compression has to say
+        raise BrokenArchiveError(f"{archive}: not a whole archive ({reason}); delete it and fetch it again") from error
     except OSError as error:
         raise DatasetError(f"{archive}: cannot be unpacked into {folder.parent} ({error})") from error
     finally:

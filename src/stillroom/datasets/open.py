@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from stillroom.data.locations import sequence_path
+from stillroom.data.locations import data_folders, sequence_path
 from stillroom.datasets import archive
 from stillroom.datasets.bonn import NAME_PREFIX as BONN_PREFIX
 from stillroom.datasets.bonn import open_bonn
@@ -61,9 +61,15 @@ def _find(path_or_name: str) -> Path:
     path = Path(path_or_name).expanduser()
     if path.exists():
         return path
-    named = sequence_path(path_or_name) if len(path.parts) == 1 else None
-    if named is None:
+    if len(path.parts) > 1:
         raise DatasetError(f"{path}: no such folder or archive")
+    named = sequence_path(path_or_name)
+    if named is None:
+        places = ", ".join(str(folder) for folder in data_folders())
+        raise DatasetError(
+            f"{path}: no such folder or archive here, nor in {places}; "
+            "'stillroom download --help' says what can be fetched"
+        )
     return named
 
 

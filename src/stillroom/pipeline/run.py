@@ -56,11 +56,11 @@ def run(
     outcome = RunOutcome(config.method, folder, slam, clock)
     if folder is not None:
         results.write_config(folder, dataset, config, options)
-    with _concluded_in_any_case(outcome, dataset, options.pictures > 0):
+    with StopRequest() as stop, _concluded_in_any_case(outcome, dataset, stop, options.pictures > 0):
         recorder = _recorder(folder, dataset, options.pictures)
         progress.start(len(dataset))
         try:
-            _track_all(dataset, outcome, newest, recorder, progress)
+            _track_all(dataset, outcome, stop, newest, recorder, progress)
         finally:
             progress.finish()
             slam.close()
@@ -79,43 +79,52 @@ def _settle(seed: int) -> None:
 
 
 def _track_all(
-    dataset: Dataset, outcome: RunOutcome, newest: "_Newest", recorder: RunObserver, progress: Progress
+    dataset: Dataset,
+    outcome: RunOutcome,
+    stop: StopRequest,
+    newest: "_Newest",
+    recorder: RunObserver,
+    progress: Progress,
 ) -> None:
     slam, clock, remarks = outcome.slam, outcome.clock, Remarks()
-    with StopRequest() as stop:
-        for place in range(len(dataset)):
-            if stop.asked:
-                outcome.interrupted = True
-                return
-            outcome.n_given += 1
-            try:
-                with clock.stage(LOADING):
-                    image = dataset.load(place)
-            except FrameError as error:
-                number = int(original_numbers(dataset)[place])
-                outcome.bad.append((number, float(dataset.timestamps_s[place])))
-                remarks.unreadable(number, error)
-                progress.frame(None)
-                continue
-            with clock.stage(FRAME):
-                result = slam.process(image)
-            clock.next_frame(image.index)
-            remarks.frame(image, result)
-            newest.show(recorder)
-            progress.frame(result)
+    for place in range(len(dataset)):
+        if stop.asked:
+            outcome.interrupted = True
+            return
+        outcome.n_given += 1
+        try:
+            with clock.stage(LOADING):
+                image = dataset.load(place)
+        except FrameError as error:
+            number = int(original_numbers(dataset)[place])
+            outcome.bad.append((number, float(dataset.timestamps_s[place])))
+            remarks.unreadable(number, error)
+            progress.frame(None)
+            continue
+        with clock.stage(FRAME):
+            result = slam.process(image)
+        clock.next_frame(image.index)
+        remarks.frame(image, result)
+        newest.show(recorder)
+        progress.frame(result)
 
 
 @contextmanager
-def _concluded_in_any_case(outcome: RunOutcome, dataset: Dataset, with_plots: bool) -> Iterator[None]:
-    """Evaluate and write what there is when the block ends, however it ends."""
+def _concluded_in_any_case(
+    outcome: RunOutcome, dataset: Dataset, stop: StopRequest, with_plots: bool
+) -> Iterator[None]:
+    """Evaluate and write what there is when the block ends, however it ends; Ctrl-C is too late then to prevent it."""
     try:
         yield
+        stop.hold()
     except KeyboardInterrupt:
         outcome.interrupted = True
     except BaseException:
+        stop.hold()
         _conclude(outcome, dataset, with_plots)
         raise
     _conclude(outcome, dataset, with_plots)
+    outcome.interrupted |= stop.asked
 
 
 def _conclude(outcome: RunOutcome, dataset: Dataset, with_plots: bool) -> None:

@@ -10,7 +10,7 @@ log = logging.getLogger(__name__)
 
 
 class StopRequest:
-    """Turns the first Ctrl-C of a block into a flag; the second interrupts at once.
+    """Turns the first Ctrl-C of a block into a flag; the second interrupts at once; while held, none does.
 
     A frame that is begun is finished, so that map and trajectory are whole when they are written. Signals reach the
     main thread only: on another one this does nothing.
@@ -18,6 +18,7 @@ class StopRequest:
 
     def __init__(self) -> None:
         self.asked = False
+        self._is_held = False
         self._previous: Any = None
 
     def __enter__(self) -> "StopRequest":
@@ -33,8 +34,17 @@ class StopRequest:
         if self._previous is not None:
             signal.signal(signal.SIGINT, self._previous)
 
+    def hold(self) -> None:
+        """From now on let no Ctrl-C interrupt: what was tracked is being written."""
+        self._is_held = True
+
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
+        if self._is_held:
+            self.asked = True
+            log.warning("the results are being written, which takes a moment")
+            return
         if self.asked:
+            self.hold()  # Or a third one could come before the results are begun.
             raise KeyboardInterrupt
         self.asked = True
         log.warning("stopping after this frame; Ctrl-C again stops at once")

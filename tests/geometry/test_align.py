@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from stillroom.geometry import se3
-from stillroom.geometry.align import align
+from stillroom.geometry.align import align, align_poses
 
 
 def random_motion(rng: np.random.Generator) -> np.ndarray:
@@ -91,3 +91,16 @@ def test_poses_move_as_points_do_and_keep_rigid() -> None:
     moved = found.poses(poses)
     np.testing.assert_allclose(moved[:, :3, 3], found.points(poses[:, :3, 3]), atol=1e-12)
     np.testing.assert_allclose(moved[:, :3, :3], T[:3, :3] @ poses[:, :3, :3], atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_poses_are_laid_upon_poses_also_where_the_camera_stood_still(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    T = random_motion(rng)
+    turning = np.stack([se3.exp(np.array([0, 0, 0, *rng.normal(0, 0.4, 3)])) for _ in range(60)])
+    np.testing.assert_allclose(align_poses(turning, T @ turning), T, atol=1e-12)
+    np.testing.assert_allclose(align_poses(turning[:1], T @ turning[:1]), T, atol=1e-12)
+    noisy = np.stack([T @ pose @ se3.exp(rng.normal(0, 0.01, 6)) for pose in turning])
+    off = se3.inverse(T) @ align_poses(turning, noisy)
+    assert np.linalg.norm(off[:3, 3]) < 0.006
+    assert se3.angle_rad(off) < 0.006

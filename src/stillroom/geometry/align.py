@@ -62,6 +62,18 @@ def align(source: Floats, target: Floats, with_scale: bool) -> Similarity:
     return Similarity(scale, se3.from_rotation_translation(R, mean_target - scale * R @ mean_source))
 
 
+def align_poses(T_source_cam: Floats, T_target_cam: Floats) -> F64:
+    """Find the rigid motion `T_target_source` (4, 4) that lays poses (N, 4, 4), N ≥ 1, best upon their counterparts.
+
+    Unlike `align`, which knows positions only, it takes the turn from the rotations, and is sound however little the
+    camera moved: the rotation is the chordal mean of those that the pairs ask for, the translation the mean one.
+    """
+    wanted = np.asarray(T_target_cam)[:, :3, :3] @ np.swapaxes(np.asarray(T_source_cam)[:, :3, :3], 1, 2)
+    turned = se3.orthonormalize(se3.from_rotation_translation(wanted.mean(axis=0), np.zeros(3)))
+    turned[:3, 3] = np.mean(T_target_cam[:, :3, 3] - T_source_cam[:, :3, 3] @ turned[:3, :3].T, axis=0)
+    return turned
+
+
 def _in_one_place(centred: Floats, points: Floats) -> bool:
     """Tell whether points differ by no more than rounding."""
     return bool(np.abs(centred).max() <= 1e-12 * (1.0 + np.abs(points).max()))

@@ -12,7 +12,7 @@ from stillroom.evaluation.ghosts.figures import CompletenessFigure, GhostFigure,
 from stillroom.evaluation.ghosts.free_space import FreeSpaceConfig, empty_room, ghosts_in_free_space, seen_again
 from stillroom.evaluation.ghosts.gathering import Gatherer
 from stillroom.evaluation.ghosts.truth import TrueScene, TruthConfig, ghosts_by_truth
-from stillroom.evaluation.ghosts.views import DepthView, Sightings, sightings
+from stillroom.evaluation.ghosts.views import DepthView, Sightings, settled, sightings
 
 __all__ = [
     "CompletenessFigure",
@@ -29,5 +29,6 @@ __all__ = [
     "ghosts_by_truth",
     "ghosts_in_free_space",
     "seen_again",
+    "settled",
     "sightings",
 ]

@@ -14,10 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from stillroom.evaluation.ghosts.figures import GhostFigure
-from stillroom.evaluation.ghosts.gathering import Gatherer
-from stillroom.evaluation.ghosts.views import DepthView, sightings
+from stillroom.evaluation.ghosts.gathering import Gatherer, thinned
+from stillroom.evaluation.ghosts.views import DepthView, settled, sightings
 from stillroom.geometry.arrays import F64, Floats
 from stillroom.geometry.camera import Camera
+
+SETTLING = 2
+"""Steps after which the surface of the empty room no longer moves."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +31,9 @@ class FreeSpaceConfig:
         tolerance_m, tolerance_share: A ray passes a point by more than the first and more than this share of its
             depth.
         min_rays: So many images must have a ray that passes …
-        may_agree: … and no more than so many a surface at the point.
+        may_agree: … and no more than so many find a surface at the point.
+        doubt: A surface is at the point when they differ by no more than the tolerance times this: the point is a
+            measurement too, and may be as wrong as the surface, the other way.
         reach_px: All within so many pixels of the ray that the image knows must lie behind the point too.
         voxel_m: The empty room is sampled so finely [m].
         seen_by: A surface of the room was seen by so many images of the room …
@@ -40,11 +45,12 @@ class FreeSpaceConfig:
     tolerance_share: float = 0.03
     min_rays: int = 3
     may_agree: int = 2
+    doubt: float = 2.0
     reach_px: int = 1
     voxel_m: float = 0.04
     seen_by: int = 6
     again_by: int = 3
-    reach_m: float = 4.0
+    reach_m: float = 5.0
 
 
 def ghosts_in_free_space(
@@ -59,18 +65,29 @@ def ghosts_in_free_space(
         config: When a point is a ghost.
     """
     config = config or FreeSpaceConfig()
-    seen = sightings(points_m, reference, camera, config.tolerance_m, config.tolerance_share, config.reach_px)
-    is_passed = seen.passed >= config.min_rays
-    return GhostFigure.of(np.asarray(is_passed & (seen.agree <= config.may_agree)), int(is_passed.sum()))
+    tolerance = config.tolerance_m, config.tolerance_share
+    is_passed = sightings(points_m, reference, camera, *tolerance, config.reach_px).passed >= config.min_rays
+    suspects = np.asarray(points_m)[is_passed]
+    wide = config.doubt * config.tolerance_m, config.doubt * config.tolerance_share
+    is_ghost = is_passed.copy()
+    is_ghost[is_passed] = sightings(suspects, reference, camera, *wide, config.reach_px).agree <= config.may_agree
+    return GhostFigure.of(is_ghost, int(is_passed.sum()))
 
 
 def empty_room(reference: Sequence[DepthView], camera: Camera, config: FreeSpaceConfig | None = None) -> F64:
-    """Return the surface of the empty room (N, 3) [m, world] as its images saw it, a point in each cell of a grid."""
+    """Return the surface of the empty room (N, 3) [m, world] as its images saw it, a point in each cell of a grid.
+
+    Where they differ, it lies in their middle.
+    """
     config = config or FreeSpaceConfig()
     gatherer = Gatherer(camera, config.voxel_m)
     for view in reference:
         gatherer.add(view.depth_m, view.T_world_cam, reach_m=config.reach_m)
-    return gatherer.points(config.seen_by)
+    surface_m = gatherer.points(config.seen_by)
+    wide = config.doubt * config.tolerance_m, config.doubt * config.tolerance_share
+    for _ in range(SETTLING):
+        surface_m = settled(surface_m, reference, camera, *wide)
+    return thinned(surface_m, config.voxel_m)
 
 
 def seen_again(

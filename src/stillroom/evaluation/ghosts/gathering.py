@@ -59,6 +59,12 @@ class Gatherer:
         return np.asarray(cells.total_m[chosen] / cells.n_points[chosen, None])
 
 
+def thinned(points_m: Floats, voxel_m: float) -> F64:
+    """Return the means (M, 3) of the points (N, 3) in each cell of a grid."""
+    cells = _summed(np.floor(points_m / voxel_m).astype(np.int64), points_m)
+    return np.asarray(cells.total_m / cells.n_points[:, None])
+
+
 @dataclass(frozen=True)
 class _Cells:
     """Cells by rising key (N,): sums of the points in them (N, 3), and numbers of those and of their images (N,)."""

@@ -31,7 +31,14 @@ def _nearest(points_m: F64, patches_m: F64, is_triangle: Bool, squared: F64) -> 
         area2 = aa * bb - ab * ab
         if not area2 > 0.0:
             continue
+        # The patch lies in the ball about its middle that its corners span: most points are too far from it.
+        mx, my, mz = cx + 0.5 * (ax + bx), cy + 0.5 * (ay + by), cz + 0.5 * (az + bz)
+        radius2 = 0.25 * (aa + bb + 2.0 * abs(ab))
         for i in range(len(points_m)):
+            x, y, z = points_m[i, 0] - mx, points_m[i, 1] - my, points_m[i, 2] - mz
+            # (r + d)² ≤ 2 (r² + d²) spares the roots.
+            if x * x + y * y + z * z > 2.0 * (radius2 + squared[i]):
+                continue
             x, y, z = points_m[i, 0] - cx, points_m[i, 1] - cy, points_m[i, 2] - cz
             pp, pa, pb = x * x + y * y + z * z, x * ax + y * ay + z * az, x * bx + y * by + z * bz
             s, t = (pa * bb - pb * ab) / area2, (pb * aa - pa * ab) / area2

@@ -64,21 +64,71 @@ def sightings(
     """
     points = np.ascontiguousarray(points_world_m, dtype=np.float64)
     agree, passed = np.zeros(len(points), dtype=np.int32), np.zeros(len(points), dtype=np.int32)
-    intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion])
-    bounds_px = np.array(camera.undistorted_bounds_px)
+    lens = _lens(camera)
     for view in views:
         T_cam_world = np.ascontiguousarray(se3.inverse(view.T_world_cam))
         depth_m = np.ascontiguousarray(view.depth_m)
-        _ask(depth_m, T_cam_world, intrinsics, bounds_px, points, tolerance_m, tolerance_share, reach_px, agree, passed)
+        _ask(depth_m, T_cam_world, lens, points, tolerance_m, tolerance_share, reach_px, agree, passed)
     return Sightings(agree, passed)
+
+
+def settled(
+    points_world_m: Floats, views: Sequence[DepthView], camera: Camera, tolerance_m: float, tolerance_share: float
+) -> F64:
+    """Move points (N, 3) onto the mean of the surfaces that the views see near them, along the views' rays.
+
+    What noise has smeared over several centimetres comes to lie in one layer.
+
+    Args:
+        points_world_m: The points (N, 3) [m, world].
+        views: The images.
+        camera: Their calibration.
+        tolerance_m, tolerance_share: A surface counts when its depth differs from the point's by no more than the
+            first, or no more than this share of it.
+    """
+    points = np.ascontiguousarray(points_world_m, dtype=np.float64)
+    total_m, count = np.zeros_like(points), np.zeros(len(points), dtype=np.int32)
+    lens = _lens(camera)
+    for view in views:
+        pose = np.ascontiguousarray(view.T_world_cam)
+        depth_m = np.ascontiguousarray(view.depth_m)
+        _add_offsets(depth_m, pose, se3.inverse(pose), lens, points, tolerance_m, tolerance_share, total_m, count)
+    return np.asarray(points + total_m / np.maximum(count, 1)[:, None])
+
+
+def _lens(camera: Camera) -> F64:
+    """Return what the kernels know of a camera (13,): fx fy cx cy, k1 k2 p1 p2 k3, extent of the undistorted image.
+
+    Beyond that extent the distortion model means nothing.
+    """
+    intrinsics = camera.fx, camera.fy, camera.cx, camera.cy
+    return np.array([*intrinsics, *camera.distortion, *camera.undistorted_bounds_px])
+
+
+@njit(nogil=True, cache=True)
+def _seen_at(T_cam_world: F64, lens: F64, X: float, Y: float, Z: float) -> tuple[float, int, int]:
+    """Return a point's depth [m], and column and row [px] of the pixel that it falls on; −1 where on none."""
+    T = T_cam_world
+    z = T[2, 0] * X + T[2, 1] * Y + T[2, 2] * Z + T[2, 3]
+    if not z > NEAREST_M:
+        return z, -1, -1
+    x = (T[0, 0] * X + T[0, 1] * Y + T[0, 2] * Z + T[0, 3]) / z
+    y = (T[1, 0] * X + T[1, 1] * Y + T[1, 2] * Z + T[1, 3]) / z
+    fx, fy, cx, cy, k1, k2, p1, p2, k3, left, top, right, bottom = lens
+    if not (left <= fx * x + cx <= right and top <= fy * y + cy <= bottom):
+        return z, -1, -1
+    r2 = x * x + y * y
+    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    u = fx * (x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)) + cx
+    v = fy * (y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y) + cy
+    return z, int(np.floor(u + 0.5)), int(np.floor(v + 0.5))
 
 
 @njit(nogil=True, cache=True)
 def _ask(
     depth_m: F32,
     T_cam_world: F64,
-    intrinsics: F64,
-    bounds_px: F64,
+    lens: F64,
     points_world_m: F64,
     tolerance_m: float,
     tolerance_share: float,
@@ -86,35 +136,10 @@ def _ask(
     agree: I32,
     passed: I32,
 ) -> None:
-    """Add what one depth image (H, W) says of points (N, 3) to `agree` and `passed` (N,).
-
-    Args:
-        depth_m: The image as taken; 0 where unknown.
-        T_cam_world: Its pose (4, 4).
-        intrinsics: fx fy cx cy k1 k2 p1 p2 k3 (9,).
-        bounds_px: Extent of the undistorted image; beyond it the distortion model means nothing (4,).
-        points_world_m: The points.
-        tolerance_m, tolerance_share, reach_px: See `sightings`.
-        agree, passed: Counters.
-    """
-    fx, fy, cx, cy, k1, k2, p1, p2, k3 = intrinsics
+    """Add what one depth image (H, W) says of points (N, 3) to `agree` and `passed` (N,); see `sightings`."""
     height, width = depth_m.shape
-    T = T_cam_world
     for i in range(len(points_world_m)):
-        X, Y, Z = points_world_m[i]
-        z = T[2, 0] * X + T[2, 1] * Y + T[2, 2] * Z + T[2, 3]
-        if not z > NEAREST_M:
-            continue
-        x = (T[0, 0] * X + T[0, 1] * Y + T[0, 2] * Z + T[0, 3]) / z
-        y = (T[1, 0] * X + T[1, 1] * Y + T[1, 2] * Z + T[1, 3]) / z
-        u, v = fx * x + cx, fy * y + cy
-        if not (bounds_px[0] <= u <= bounds_px[2] and bounds_px[1] <= v <= bounds_px[3]):
-            continue
-        r2 = x * x + y * y
-        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        u = fx * (x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)) + cx
-        v = fy * (y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y) + cy
-        column, row = int(np.floor(u + 0.5)), int(np.floor(v + 0.5))
+        z, column, row = _seen_at(T_cam_world, lens, points_world_m[i, 0], points_world_m[i, 1], points_world_m[i, 2])
         if min(column, row) < reach_px or column >= width - reach_px or row >= height - reach_px:
             continue
         all_behind, any_there = depth_m[row, column] > 0.0, False
@@ -127,3 +152,28 @@ def _ask(
                     any_there = any_there or abs(seen - z) <= tolerance
         agree[i] += any_there
         passed[i] += all_behind
+
+
+@njit(nogil=True, cache=True)
+def _add_offsets(
+    depth_m: F32,
+    T_world_cam: F64,
+    T_cam_world: F64,
+    lens: F64,
+    points_world_m: F64,
+    tolerance_m: float,
+    tolerance_share: float,
+    total_m: F64,
+    count: I32,
+) -> None:
+    """Add the way from each point (N, 3) to the surface that one image (H, W) sees near it; see `settled`."""
+    height, width = depth_m.shape
+    for i in range(len(points_world_m)):
+        z, column, row = _seen_at(T_cam_world, lens, points_world_m[i, 0], points_world_m[i, 1], points_world_m[i, 2])
+        if min(column, row) < 0 or column >= width or row >= height:
+            continue
+        seen = depth_m[row, column]
+        if seen > 0.0 and abs(seen - z) <= max(tolerance_m, tolerance_share * seen):
+            for k in range(3):
+                total_m[i, k] += (seen / z - 1.0) * (points_world_m[i, k] - T_world_cam[k, 3])
+            count[i] += 1

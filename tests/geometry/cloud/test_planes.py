@@ -33,11 +33,11 @@ class Room:
 
     def cloud(self, noise_seed: int | None) -> F32:
         """The sensor's cloud: noise grows with the square of the depth."""
-        depth = self.depth_m.copy()
+        depth = np.where(np.isfinite(self.depth_m), self.depth_m, 0.0)
         if noise_seed is not None:
             depth += np.random.default_rng(noise_seed).normal(size=depth.shape) * 0.0016 * depth**2
         full = np.zeros((480, 640), dtype=np.float32)
-        full[np.ix_(GRID.rows, GRID.columns)] = np.where(np.isfinite(depth), depth, 0.0)
+        full[np.ix_(GRID.rows, GRID.columns)] = depth
         return back_project(full, GRID, 0.2, 6.0)
 
     def is_any(self, *names: str) -> Bool:
@@ -156,6 +156,26 @@ def test_two_flat_people_abreast_are_no_plane() -> None:
         room.add("person", board((x - 0.21, x + 0.21), (0.0, 1.75), 2.4))
     plane_of = find(room).plane_of
     assert (plane_of[room.is_any("person")] >= 0).mean() < 0.03
+
+
+def test_flat_people_abreast_are_no_plane_where_nothing_is_seen_behind_them() -> None:
+    hall = Room(np.full(GRID.shape, np.inf), np.full(GRID.shape, "nothing", dtype="<U8"))
+    hall.add("floor", patch(hit(DOWNWARDS, FLOOR_M), (-9.0, 9.0), (-1.0, 1.0), (0.0, 3.0)))
+    for x in (-0.8, 0.0, 0.8):
+        hall.add("person", board((x - 0.21, x + 0.21), (0.05, 1.75), 2.4))
+    assert (find(hall).plane_of[hall.is_any("person")] >= 0).mean() < 0.03
+
+
+def test_floor_and_wall_of_which_people_leave_pieces_are_planes() -> None:
+    room = empty_room()
+    for x in range(-4, 5):
+        room.add("person", figure(0.5 * x, 1.6, radius=0.15))  # their feet are below the image
+    behind = room.is_any("floor", "wall")
+    planes = find(room)
+    assert (planes.plane_of[behind] >= 0).mean() > 0.97
+    assert (planes.plane_of[room.is_any("person")] >= 0).mean() < 0.03
+    strict = find_planes(room.cloud(0), GRID.ray_area, PlaneLimits(min_piece_m2=PlaneLimits().min_area_m2))
+    assert (strict.plane_of[behind] >= 0).mean() < 0.3, "the scene is too easy: they are in one piece"
 
 
 def test_a_table_top_is_a_plane() -> None:

@@ -35,10 +35,10 @@ def euclidean_clusters(points: Floats, tolerance: float) -> I32:
     moved = exact - exact.min(axis=0)
     # A larger cell is slower, never wrong; it keeps cell numbers countable where the tolerance is tiny.
     cells = cells_of(moved, max(tolerance * EDGE, float(moved.max()) * 1e-9, 1e-300))
-    cell_of, n_cells = cell_of_points(cells, table_size(len(cells)))
+    cell_of, n_cells, first_of, table = cell_of_points(cells, table_size(len(cells)))
     order = np.argsort(cell_of, kind="stable")
-    start = np.searchsorted(cell_of[order], np.arange(n_cells + 1))
-    labels: I32 = union_neighbours(exact, cells, order, start, FORWARD, table_size(n_cells), tolerance)
+    start = np.append(0, np.cumsum(np.bincount(cell_of, minlength=n_cells)))
+    labels: I32 = union_neighbours(exact, cells, order, start, first_of, table, FORWARD, tolerance)
     return labels
 
 
@@ -69,7 +69,7 @@ def depth_scaled(points_m: Floats, tolerance_m: float, tolerance_share: float) -
 
 @njit(nogil=True, cache=True)
 def union_neighbours(
-    points: F64, cells: I64, order: I64, start: I64, forward: I64, n_slots: int, tolerance: float
+    points: F64, cells: I64, order: I64, start: I64, first_of: I32, table: I32, forward: I64, tolerance: float
 ) -> I32:
     """Join all pairs within the tolerance by union-find, looking in neighbouring cells only.
 
@@ -78,20 +78,14 @@ def union_neighbours(
         cells: Integer cell of each (N, 3).
         order: Points sorted by the number of their cell (N,).
         start: Where each cell's points start in `order` (M + 1,).
+        first_of, table: A point of each cell, and the cells' hash table; see `slot_of`.
         forward: Offsets of the neighbours to look in (13, 3).
-        n_slots: Size of the hash table.
         tolerance: Largest distance of neighbours.
 
     Returns:
         Cluster of each point (N,), numbered as the points come.
     """
     n_cells = len(start) - 1
-    first_of = np.empty(n_cells, dtype=np.int32)
-    table = np.full(n_slots, -1, dtype=np.int32)
-    for c in range(n_cells):
-        first_of[c] = order[start[c]]
-        key = cells[first_of[c]]
-        table[slot_of(cells, first_of, table, key[0], key[1], key[2])] = c
     parent = np.arange(len(points)).astype(np.int32)
     whole = np.empty(n_cells, dtype=np.bool_)
     for c in range(n_cells):

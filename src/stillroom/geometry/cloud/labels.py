@@ -20,8 +20,8 @@ def spread_labels(
         points_m: Their points (h, w, 3) [m]; z = 0 where unknown.
         depth_m: Depth image (H, W) [m].
         grid: The samples' pixels.
-        step_m, step_share: A pixel further in depth from all four samples around it than max(step_m, step_share · z)
-            belongs to none of them [m].
+        step_m, step_share: A pixel further in depth from all four samples around it than max(step_m, step_share · z),
+            z being the depth of the farthest of them, belongs to none [m].
         unknown: Label of such pixels, and of those without depth.
 
     Returns:
@@ -30,7 +30,8 @@ def spread_labels(
     image = np.full(depth_m.shape, unknown, dtype=np.int16)
     if labels.size:
         z = np.ascontiguousarray(points_m[..., 2])
-        spread_into(labels, z, depth_m, grid.rows, grid.columns, np.float32(step_m), np.float32(step_share), image)
+        steps = (np.float32(step_m), np.float32(step_share))
+        spread_into(labels, z, depth_m, grid.rows, grid.columns, *steps, np.int16(unknown), image)
     return image
 
 
@@ -43,6 +44,7 @@ def spread_into(
     columns: I32,
     step_m: float,
     step_share: float,
+    unknown: int,
     image: I16,
 ) -> None:
     """Fill the label image (H, W); see `spread_labels`."""
@@ -58,6 +60,15 @@ def spread_into(
             if z0 <= 0.0 and z1 <= 0.0 and z2 <= 0.0 and z3 <= 0.0:
                 continue
             a0, a1, a2, a3 = labels[i0, j0], labels[i0, j1], labels[i1, j0], labels[i1, j1]
+            nearest, farthest = min(z0, z1, z2, z3), max(z0, z1, z2, z3)
+            step = max(step_m, step_share * farthest)
+            if a0 == a1 == a2 == a3 and nearest > 0.0 and farthest - nearest <= step:
+                # One surface: what lies between the samples in depth is within the step of one of them.
+                low, high = max(nearest - step, np.float32(0.0)), farthest + step
+                for r in range(top, bottom):
+                    for c in range(left, right):
+                        image[r, c] = a0 if low < depth_m[r, c] <= high else unknown
+                continue
             for r in range(top, bottom):
                 for c in range(left, right):
                     depth = depth_m[r, c]
@@ -69,5 +80,5 @@ def spread_into(
                         best, label = abs(z2 - depth), a2
                     if abs(z3 - depth) < best:
                         best, label = abs(z3 - depth), a3
-                    if best <= max(step_m, step_share * depth) and 0.0 < depth < np.inf and best < depth:
+                    if best <= step and best < depth:
                         image[r, c] = label

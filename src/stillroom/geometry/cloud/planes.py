@@ -16,6 +16,7 @@ MERGE = 1.5  # times the misfit of one region: two of them on a wall that the ca
 GROWN_SHARE = 0.4  # of a plane's area, at least, is whole cells of it
 MIN_BEND_SAMPLES = 200
 RIDGE = 1e-3
+MIN_CELLS = 5
 N_PIECES = 3  # of a plane that are looked at, largest first
 
 
@@ -33,6 +34,8 @@ class PlaneLimits:
         window: Edge of the window of samples that must mostly lie on the plane for its centre to [samples].
         min_share: How much of the window must.
         min_area_m2: Smallest area seen of one piece of a plane; a carried board or a back stays with the clusters.
+        min_piece_m2: The same for a plane that bounds the room, if all its pieces are as large as the other says.
+        max_beyond: A plane bounds the room when no more than this share of the image lies behind it or is not known.
         min_width_m: Smallest width of that piece [m]; a person who stands upright is flat, but narrow.
     """
 
@@ -46,6 +49,8 @@ class PlaneLimits:
     window: int = 5
     min_share: float = 0.75
     min_area_m2: float = 0.5
+    min_piece_m2: float = 0.15
+    max_beyond: float = 0.25
     min_width_m: float = 0.5
 
 
@@ -82,8 +87,9 @@ def find_planes(points_m: F32, ray_area: float, limits: PlaneLimits) -> Planes:
     sums = cell_sums(points_m, limits.cell)
     misfits = cell_misfits(sums, max(4, (3 * limits.cell * limits.cell) // 5))
     for slope in _candidates(sums, misfits, ray_area, limits):
-        on_plane = _samples_on(points_m, slope, n_known, limits) & (plane_of == NO_PLANE)
-        if _is_large(points_m, on_plane, slope, ray_area, limits):
+        off = _misfits(points_m, slope, limits)
+        on_plane = _samples_on(off, n_known, limits) & (plane_of == NO_PLANE)
+        if _is_large(points_m, off, on_plane, slope, ray_area, limits):
             plane_of[on_plane] = len(kept)
             kept.append((slope, _extent(points_m, on_plane, slope, ray_area)[0]))
     if kept:
@@ -99,8 +105,8 @@ def _candidates(sums: F64, misfits: F64, ray_area: float, limits: PlaneLimits) -
     """Return a, b, c of the regions of cells that may be planes, merged, largest first."""
     seeds = np.argsort(misfits, axis=None, kind="stable")[: int(np.isfinite(misfits).sum())].astype(np.int32)
     _, totals = grow_regions(sums, misfits, seeds, limits.max_misfit)
-    # Two cells determine a plane badly.
-    totals = totals[totals[:, 0] >= 3 * limits.cell * limits.cell]
+    # A few cells determine a plane badly.
+    totals = totals[totals[:, 0] >= MIN_CELLS * limits.cell * limits.cell]
     merged: list[F64] = []
     for total in totals[np.argsort(-totals[:, 0], kind="stable")]:
         for i, other in enumerate(merged):
@@ -130,13 +136,13 @@ def _plane(sums: F64) -> F64:
     return plane
 
 
-def _samples_on(points_m: F32, slope: F64, n_known: U16, limits: PlaneLimits) -> Bool:
-    """Return which samples (h, w) lie on a plane together with what is around them.
+def _samples_on(off: F32, n_known: U16, limits: PlaneLimits) -> Bool:
+    """Return which samples (h, w), with these misfits [1/m], lie on a plane together with what is around them.
 
     A surface that crosses the plane is near it in a narrow strip only, which a window over the strip tells.
     """
     size = (limits.window, limits.window)
-    off = np.abs(_misfits(points_m, slope, limits))
+    off = np.abs(off)
     near = off <= np.float32(limits.tolerance)
     n_near = _count(near, size)
     mostly = (n_near >= np.float32(limits.min_share) * n_known) & (2 * n_near > limits.window)
@@ -164,15 +170,31 @@ def _count(mask: Bool, size: tuple[int, int]) -> U16:
     return np.asarray(counts, dtype=np.uint16)
 
 
-def _is_large(points_m: F32, on_plane: Bool, slope: F64, ray_area: float, limits: PlaneLimits) -> bool:
-    """Tell whether one piece, at least, of a plane's samples (h, w) is large enough.
+def _is_large(points_m: F32, off: F32, on_plane: Bool, slope: F64, ray_area: float, limits: PlaneLimits) -> bool:
+    """Tell whether a plane's samples (h, w) are large enough, in one piece or, of floor and walls, in several.
 
-    The backs of two people who walk abreast lie on one plane, but not in one piece.
+    The backs of two people who walk abreast lie on one plane, but not in one piece, and the room is seen behind them.
+    Behind floor and walls nothing is seen, and people may leave but pieces of them to be seen.
+
+    Args:
+        points_m: Points (h, w, 3) [m].
+        off: Misfits of the samples to the plane (h, w) [1/m]; infinite where unknown.
+        on_plane: Samples on it (h, w).
+        slope: Its a, b, c.
+        ray_area: Area of one sample's pixel on the plane z = 1.
+        limits: What is large enough.
     """
+    area_m2, width_m = _extent(points_m, on_plane, slope, ray_area)
+    if area_m2 < limits.min_area_m2 or width_m < limits.min_width_m:
+        return False
+    # Of what is not seen at all it cannot be told whether it is behind the plane.
+    beyond = float(np.mean((off < -limits.max_off) | np.isinf(off)))
+    least_m2 = limits.min_area_m2 if beyond > limits.max_beyond else limits.min_piece_m2
+    least_width_m = limits.min_width_m * math.sqrt(least_m2 / limits.min_area_m2)
     _, piece_of, boxes, _ = cv2.connectedComponentsWithStats(on_plane.view(np.uint8), connectivity=8)
     for piece in np.argsort(-boxes[1:, cv2.CC_STAT_AREA], kind="stable")[:N_PIECES] + 1:
         area_m2, width_m = _extent(points_m, piece_of == piece, slope, ray_area)
-        if area_m2 >= limits.min_area_m2 and width_m >= limits.min_width_m:
+        if area_m2 >= least_m2 and width_m >= least_width_m:
             return True
     return False
 

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
 from stillroom.geometry.arrays import F32, F64, I16, I32, I64, Bool, Floats
 from stillroom.geometry.cloud.backproject import RayGrid
@@ -175,21 +176,28 @@ def _largest_first(pieces: _Pieces, target: I32, piece_of: I32, limits: SegmentL
     order = np.argsort(-size, kind="stable")[: int((size >= limits.min_points).sum())]
     rank = np.full(len(target) + 1, NO_SEGMENT, dtype=np.int32)  # the last is that of no piece
     rank[order] = np.arange(len(order))
-    voxel_rank = rank[of_voxel]
-    kept = np.flatnonzero(voxel_rank >= 0)
-    kept = kept[np.argsort(voxel_rank[kept], kind="stable")]
-    start = np.searchsorted(voxel_rank[kept], np.arange(len(order)))
-    mean_m, weight = pieces.mean_m[kept], pieces.weight[kept].astype(np.float64)
-    centroid = lower = upper = np.zeros((0, 3))
-    if len(order):
-        total = np.add.reduceat(weight, start)
-        centroid = np.add.reduceat(mean_m * weight[:, None], start) / total[:, None]
-        lower, upper = np.minimum.reduceat(mean_m, start), np.maximum.reduceat(mean_m, start)
+    total, centroid, lower, upper = measure(pieces.mean_m, pieces.weight, rank[of_voxel], len(order))
     return Segments(
         segment_of=np.where(piece_of >= 0, rank[np.append(target, len(target))[piece_of]], NO_SEGMENT).astype(np.int32),
         box=pieces.box[order],
         n_points=size[order].astype(np.int32),
-        centroid_m=centroid.astype(np.float32),
+        centroid_m=(centroid / np.maximum(total, 1.0)[:, None]).astype(np.float32),
         lower_m=lower.astype(np.float32),
         upper_m=upper.astype(np.float32),
     )
+
+
+@njit(nogil=True, cache=True)
+def measure(points: F64, weight: I32, segment_of: I32, n: int) -> tuple[F64, F64, F64, F64]:
+    """Return weights (n,), weighted sums, lower and upper corners (n, 3) each of n segments of points (N, 3)."""
+    total, sums = np.zeros(n), np.zeros((n, 3))
+    lower, upper = np.full((n, 3), np.inf), np.full((n, 3), -np.inf)
+    for i in range(len(points)):
+        s = segment_of[i]
+        if s >= 0:
+            total[s] += weight[i]
+            for k in range(3):
+                sums[s, k] += weight[i] * points[i, k]
+                lower[s, k] = min(lower[s, k], points[i, k])
+                upper[s, k] = max(upper[s, k], points[i, k])
+    return total, sums, lower, upper

@@ -40,7 +40,7 @@ def voxel_filter(points_m: Floats, voxel_m: float) -> Voxels:
     if not voxel_m > 0:
         raise ValueError(f"a voxel of {voxel_m} m cannot be")
     points = np.ascontiguousarray(points_m, dtype=np.float64).reshape(-1, 3)
-    voxel_of, n_voxels = cell_of_points(cells_of(points, voxel_m), table_size(len(points)))
+    voxel_of, n_voxels, _, _ = cell_of_points(cells_of(points, voxel_m), table_size(len(points)))
     counts = np.bincount(voxel_of, minlength=n_voxels)
     sums = np.stack([np.bincount(voxel_of, points[:, k], n_voxels) for k in range(3)], axis=1)
     return Voxels(sums / np.maximum(counts, 1)[:, None], counts.astype(np.int32), voxel_of)
@@ -77,8 +77,13 @@ def slot_of(cells: I64, first_of: I32, table: I32, x: int, y: int, z: int) -> in
 
 
 @njit(nogil=True, cache=True)
-def cell_of_points(cells: I64, n_slots: int) -> tuple[I32, int]:
-    """Number the distinct cells of points (N, 3) as they come; return each point's number (N,) and how many."""
+def cell_of_points(cells: I64, n_slots: int) -> tuple[I32, int, I32, I32]:
+    """Number the distinct cells of points (N, 3) as they come.
+
+    Returns:
+        Number of each point's cell (N,); how many there are; a point of each (N,), of which as many count; the hash
+        table (n_slots,), see `slot_of`.
+    """
     number = np.empty(len(cells), dtype=np.int32)
     first_of = np.empty(len(cells), dtype=np.int32)
     table = np.full(n_slots, -1, dtype=np.int32)
@@ -90,4 +95,4 @@ def cell_of_points(cells: I64, n_slots: int) -> tuple[I32, int]:
             first_of[n_cells] = i
             n_cells += 1
         number[i] = table[slot]
-    return number, n_cells
+    return number, n_cells, first_of, table

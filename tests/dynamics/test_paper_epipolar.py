@@ -28,6 +28,7 @@ class Pair:
 
     frame: Frame
     matches: Matches
+    T_world_now: np.ndarray
 
     @property
     def inside(self) -> np.ndarray:
@@ -37,7 +38,7 @@ class Pair:
     def moved(self, keypoints: np.ndarray, by_px: float) -> "Pair":
         """Shift keypoints (K,) at right angles to their epipolar lines."""
         px = self.frame.keypoints.px.copy()
-        px[keypoints] += (by_px * normals(self.matches.reference_px[keypoints])).astype(np.float32)
+        px[keypoints] += (by_px * normals(self.matches.reference_px[keypoints], self.T_world_now)).astype(np.float32)
         return replace(self, frame=replace(self.frame, keypoints=replace(self.frame.keypoints, px=px)))
 
     def ask(
@@ -52,9 +53,9 @@ class Pair:
         return sieve.judge(stage, self.frame, matches, Done(semantics), np.eye(4), Map(SCALES))
 
 
-def normals(then_px: np.ndarray) -> np.ndarray:
+def normals(then_px: np.ndarray, T_world_now: np.ndarray) -> np.ndarray:
     """Unit normals (N, 2) of the epipolar lines in the present image: each through two places of its point's ray."""
-    T_now_then = np.linalg.inv(NOW) @ THEN
+    T_now_then = np.linalg.inv(T_world_now) @ THEN
     ends = [
         CAMERA.project(se3.transform(T_now_then, CAMERA.back_project(then_px, np.full(len(then_px), z_m))))
         for z_m in (1.0, 9.0)
@@ -63,17 +64,17 @@ def normals(then_px: np.ndarray) -> np.ndarray:
     return np.stack((-along[:, 1], along[:, 0]), axis=1) / np.linalg.norm(along, axis=1, keepdims=True)
 
 
-def static_pair() -> Pair:
+def static_pair(T_world_now: np.ndarray = NOW) -> Pair:
     """All stands still, without noise."""
     before, before_seen = WORLD.look(THEN, seed=1, index=6)
-    now, now_seen = WORLD.look(NOW, seed=2, index=7)
+    now, now_seen = WORLD.look(T_world_now, seed=2, index=7)
     place = {int(point): k for k, point in enumerate(before_seen)}
     known = np.array([int(point) in place for point in now_seen])
     columns = {name: getattr(now.keypoints, name)[known] for name in vars(now.keypoints)}
     now = replace(now, keypoints=replace(now.keypoints, **columns), is_static=now.is_static[known])
     reference_px = before.keypoints.px[[place[int(point)] for point in now_seen[known]]]
     number = np.arange(len(now), dtype=np.int32)
-    return Pair(now, Matches(number, number, reference_px))
+    return Pair(now, Matches(number, number, reference_px), T_world_now)
 
 
 PAIR = static_pair()
@@ -110,6 +111,14 @@ def test_the_threshold_is_tighter_in_the_motion_model_stage(
     pair = PAIR.moved(MOVED, side * by_px)
     for stage, stays in ((Stage.MOTION_MODEL, motion_model), (Stage.REFERENCE_KEYFRAME, keyframe)):
         np.testing.assert_array_equal(pair.ask(stage).is_static, expected(MOVED[:0] if stays else MOVED))
+
+
+def test_the_distance_is_that_in_the_present_image() -> None:
+    """The camera went forward: all is larger now, and what is too far from its line now was nearer to it before."""
+    pair = static_pair(pose(0.02, 0.01, 0.6))
+    moved = np.flatnonzero(pair.inside)[::4]
+    assert pair.moved(moved, 0.8).ask().is_static.all()
+    np.testing.assert_array_equal(np.flatnonzero(~pair.moved(moved, 1.2).ask().is_static), moved)
 
 
 def test_outside_the_boxes_nothing_is_judged_and_nothing_misleads() -> None:

@@ -197,7 +197,7 @@ def test_ctrl_c_keeps_the_methods_that_are_done(tmp_path: Path, monkeypatch: pyt
             raise KeyboardInterrupt
         return fabricated(seed, 60, 0.02)
 
-    monkeypatch.setattr("stillroom.cli.bench.attempt", interrupted)
+    monkeypatch.setattr("stillroom.cli.bench.session.attempt", interrupted)
     file = tmp_path / "figures.json"
     result = invoke("accuracy", ROOM, ROOM, "--runs", "2", "--json", str(file))
     assert result.exit_code == 130
@@ -231,7 +231,9 @@ def test_a_slip_is_one_line(arguments: tuple[str, ...], error: type[Exception], 
 
 
 def test_figures_that_cannot_be_written_say_where(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("stillroom.cli.bench.attempt", lambda data, config, seed, bar: fabricated(seed, 60, 0.02))
+    monkeypatch.setattr(
+        "stillroom.cli.bench.session.attempt", lambda data, config, seed, bar: fabricated(seed, 60, 0.02)
+    )
     (tmp_path / "file").write_text("")
     caught = invoke("accuracy", ROOM, "--json", str(tmp_path / "file" / "figures.json")).exception
     assert isinstance(caught, StillroomError)

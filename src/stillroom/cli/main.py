@@ -54,7 +54,7 @@ COMMANDS = (
     Command(
         "show-config", "stillroom.cli.describe.show_config:show_config", "Print the configuration of a method as TOML."
     ),
-    Command("bench", "stillroom.cli.bench:app", "Measure accuracy over seeds, the worth of rejection, and speed."),
+    Command("bench", "stillroom.cli.bench:app", "Measure accuracy, the worth of rejection, speed, and ghosts."),
     Command("download", "stillroom.cli.download:download", "Fetch a data set or the weights of YOLO-Fastest."),
     Command("warmup", "stillroom.cli.warmup:warmup", "Compile all kernels now, so that the first run starts at once."),
 )

@@ -1,0 +1,12 @@
+"""`stillroom bench`: accuracy over seeds, what rejection is worth, what a frame costs, and ghosts in the map."""
+
+import typer
+
+from stillroom.cli.bench.dense import ghosts
+from stillroom.cli.bench.trials import accuracy, rejection, speed
+
+HELP = "Measure accuracy, the worth of rejection, speed, and ghosts."
+
+app = typer.Typer(no_args_is_help=True, help=HELP)
+for command in (accuracy, rejection, speed, ghosts):
+    app.command()(command)

@@ -1,0 +1,108 @@
+"""What the bench commands have in common: their options, a progress bar, tables, a file of figures, and Ctrl-C."""
+
+import json
+from collections.abc import Callable, Iterable, Sequence
+from datetime import datetime
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+import typer
+
+from stillroom.benchmark.accuracy import Accuracy
+from stillroom.benchmark.trial import attempt
+from stillroom.cli.output.console import STDERR, say, show_log
+from stillroom.cli.output.frame_bar import FrameBar
+from stillroom.cli.output.tables import print_lines, print_table
+from stillroom.cli.warmup import ensure_warm
+from stillroom.config import SlamConfig
+from stillroom.datasets.open import SYNTHETIC
+from stillroom.errors import StillroomError
+from stillroom.pipeline import Source
+from stillroom.pipeline.provenance import provenance
+from stillroom.protocols import Dataset
+
+INTERRUPTED = 130
+R = TypeVar("R")
+
+Sequences = Annotated[list[str], typer.Argument(metavar="SEQ", help="Sequences, as for run.")]
+Sequence1 = Annotated[str, typer.Argument(metavar="SEQ", help="The sequence, as for run.")]
+Methods = Annotated[str, typer.Option(metavar="A,B", help="Methods; the first is the baseline.")]
+Runs = Annotated[int, typer.Option(min=1, metavar="N", help="Runs of each, with seeds 0, 1, …")]
+Frames = Annotated[str | None, typer.Option(metavar="A:B", help="Use these frames only.")]
+Camera = Annotated[str | None, typer.Option(metavar="NAME|FILE", help="The calibration.")]
+Out = Annotated[
+    Path | None, typer.Option("--json", metavar="FILE", help="Where the figures go; by default into results/.")
+]
+
+
+class Bench:
+    """One call of a bench command.
+
+    Attributes:
+        bar: The progress bar of its runs.
+    """
+
+    def __init__(self, kind: str, out: Path | None) -> None:
+        """Start one of a kind; its figures go to `out`, or into `results/`."""
+        show_log()
+        self._kind = kind
+        self._out = out or Path("results") / f"{datetime.now():%Y-%m-%d_%H-%M-%S}_bench-{kind}.json"
+        self._rows: list[dict[str, Any]] = []
+        self.bar = FrameBar(STDERR)
+        self._stopped = False
+
+    def open(self, source: Source) -> Dataset:
+        """Open a sequence and see to it that the kernels are compiled."""
+        dataset = source.open()
+        ensure_warm(STDERR, source.sequence.startswith(SYNTHETIC))
+        return dataset
+
+    def each(self, configs: dict[str, SlamConfig], measure: Callable[[str, SlamConfig], R]) -> list[R]:
+        """Measure each config; those that are done by then when the user stops it."""
+        done: list[R] = []
+        try:
+            for name, config in configs.items() if not self._stopped else ():
+                done.append(measure(name, config))
+        except KeyboardInterrupt:
+            self._stopped = True
+        return done
+
+    def seeds_of(self, dataset: Dataset, runs: int) -> Callable[[str, SlamConfig], Accuracy]:
+        """Return what runs a config on a sequence with each seed."""
+
+        def measure(name: str, config: SlamConfig) -> Accuracy:
+            trials = []
+            for seed in range(runs):
+                self.bar.label = f"{name}, seed {seed}"
+                trials.append(attempt(dataset, config, seed, self.bar))
+                say(f"{name} on {dataset.name}, {trials[-1].line()}")
+            return Accuracy(dataset.name, name, tuple(trials))
+
+        return measure
+
+    def print_table(self, title: str, header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
+        """Print rows under a title."""
+        print_lines(["", title])
+        print_table(header, rows)
+
+    def keep(self, rows: list[dict[str, Any]]) -> None:
+        """Take figures for the file."""
+        self._rows += rows
+
+    def finish(self) -> None:
+        """Write the file; leave with an error where the user stopped it."""
+        if self._rows:
+            content = {"bench": self._kind, "rows": self._rows, "run": provenance()}
+            _write(self._out, json.dumps(content, indent=2) + "\n")
+            print_lines([f"figures: {self._out}"])
+        if self._stopped:
+            say("stopped; what was not finished is left out")
+            raise typer.Exit(INTERRUPTED)
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise StillroomError(f"{path}: cannot be written ({error.strerror}); name another file with --json") from error

@@ -1,0 +1,100 @@
+"""`stillroom bench accuracy`, `rejection` and `speed`: what is learnt from running methods again and again."""
+
+from typing import Annotated
+
+import typer
+
+from stillroom.benchmark import accuracy as exactness
+from stillroom.benchmark import rejection as rejecting
+from stillroom.benchmark import speed as cost
+from stillroom.benchmark.rejection import Way, ways
+from stillroom.benchmark.speed import Speed, UnitMeter
+from stillroom.cli.arguments import Settings
+from stillroom.cli.bench.session import Bench, Camera, Frames, Methods, Out, Runs, Sequence1, Sequences
+from stillroom.cli.output.tables import print_lines
+from stillroom.config import SlamConfig
+from stillroom.errors import ConfigError
+from stillroom.methods.registry import configure
+from stillroom.pipeline import Source
+from stillroom.warmup import warm_up
+
+BOTH = "orb-slam2,oc-slam"
+
+
+def accuracy(
+    sequences: Sequences,
+    methods: Methods = BOTH,
+    runs: Runs = 5,
+    frames: Frames = None,
+    camera: Camera = None,
+    settings: Settings = None,
+    out: Out = None,
+) -> None:
+    """Run each method with several seeds: ATE, improvement over the first method, coverage, RPE."""
+    configs = _configs(methods, settings)
+    bench = Bench("accuracy", out)
+    for sequence in sequences:
+        dataset = bench.open(Source(sequence, camera, frames=frames))
+        table = bench.each(configs, bench.seeds_of(dataset, runs))
+        bench.print_table(dataset.name, exactness.HEADER, [row.row(table[0]) for row in table])
+        print_lines(exactness.sentences(table) if table else [])
+        bench.keep([row.to_dict(table[0]) for row in table])
+    bench.finish()
+
+
+def rejection(
+    sequence: Sequence1,
+    method: Annotated[str, typer.Option(metavar="NAME", help="The preset whose sieve is on trial.")] = "oc-slam",
+    runs: Runs = 1,
+    frames: Frames = None,
+    camera: Camera = None,
+    settings: Settings = None,
+    out: Out = None,
+) -> None:
+    """Compare no rejection, whole boxes, the paper's literal rule and the preset: ATE, coverage, features kept."""
+    bench = Bench("rejection", out)
+    dataset = bench.open(Source(sequence, camera, frames=frames))
+    configs = ways(configure(method, None, settings or ()))
+    table = [Way(row) for row in bench.each(configs, bench.seeds_of(dataset, runs))]
+    boxes = next((way for way in table if way.accuracy.method == rejecting.WHOLE_BOXES), None)
+    if boxes is not None:
+        bench.print_table(dataset.name, rejecting.HEADER, [way.row(boxes) for way in table])
+        print_lines(rejecting.sentences(table))
+        bench.keep([way.to_dict(boxes) for way in table])
+    bench.finish()
+
+
+def speed(
+    sequence: Sequence1,
+    methods: Methods = BOTH,
+    frames: Frames = None,
+    camera: Camera = None,
+    settings: Settings = None,
+    out: Out = None,
+) -> None:
+    """Time each stage and the whole frame, in milliseconds and in units of one cv2.ORB_create(1000).detectAndCompute.
+
+    Reading the images is not counted; network and mapping are. A stage includes those that it calls: tracking holds
+    dynamics, the frame holds all.
+    """
+    configs = _configs(methods, settings)
+    bench = Bench("speed", out)
+    dataset = UnitMeter(bench.open(Source(sequence, camera, frames=frames)))
+    warm_up()  # also when they are compiled: loading them is no cost of the first frame
+
+    def measure(name: str, config: SlamConfig) -> Speed:
+        bench.bar.label = name
+        return cost.speed(dataset, name, config, bench.bar)
+
+    for measured in bench.each(configs, measure):
+        bench.print_table(f"{measured.method} on {dataset.name}", cost.HEADER, measured.rows())
+        print_lines(measured.sentences())
+        bench.keep([measured.to_dict()])
+    bench.finish()
+
+
+def _configs(methods: str, settings: list[str] | None) -> dict[str, SlamConfig]:
+    names = [name.strip() for name in methods.split(",") if name.strip()]
+    if not names:
+        raise ConfigError("--methods names none; write it like --methods orb-slam2,oc-slam")
+    return {name: configure(name, None, settings or ()) for name in names}

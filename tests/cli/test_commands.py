@@ -72,7 +72,8 @@ def test_help_flows_in_a_terminal_of_80_columns(
     loaded = command.load()
     apps = {(): loaded.__doc__}
     if isinstance(loaded, typer.Typer):
-        apps = {(inner.callback.__name__,): inner.callback.__doc__ for inner in loaded.registered_commands}
+        inner = [(each.name, each.callback) for each in loaded.registered_commands]
+        apps = {(name or callback.__name__.replace("_", "-"),): callback.__doc__ for name, callback in inner}
     for words, docstring in apps.items():
         said = [line.strip() for line in stillroom(command.name, *words, "--help").out.splitlines()]
         for paragraph in inspect.cleandoc(docstring).split("\n\n"):

@@ -22,7 +22,10 @@ from stillroom.dense.export.signed_distance import (
 from stillroom.errors import MapError, MissingExtraError
 from stillroom.geometry.arrays import F32, F64, I64, U8, Bool, Floats
 
-SLIVER = 1e-3
+LEAST_AGREEMENT = 0.2
+"""Least cosine between a triangle's normal and that of the points near it; at the corners of a box it is 0.58."""
+
+SLIVER = 1e-4
 """Twice the area of a triangle [square cells] that is too small to tell which way it faces."""
 
 
@@ -33,13 +36,13 @@ class MeshConfig:
     Attributes:
         cell_voxels: Edge of the cells that triangles are made in, in voxels of the cloud. More is coarser, and closes
             larger holes.
-        min_points: A cell has a surface only if so many points lie in the 3×3×3 cells around it: a lone point makes
-            none, and no surface reaches further than this from the points.
+        min_points: Surfaces lie in the 3×3×3 cells around points, and no further from them; but only around points
+            that have so many in the 5×5×5 cells around: a lone one makes no surface.
         max_weight: A point counts by the pixels that it is the mean of, up to here.
     """
 
     cell_voxels: float = 1.0
-    min_points: int = 3
+    min_points: int = 4
     max_weight: float = 8.0
 
     def build(self) -> "Mesher":
@@ -89,7 +92,7 @@ class Mesher:
         cell_m = cloud.voxel_m * self._config.cell_voxels
         parts = []
         n_before = 0
-        for block in blocks(cloud, cell_m, self._config.max_weight):
+        for block in blocks(cloud, cell_m, self._config.max_weight, self._config.min_points):
             part = self._surface(block, marching_cubes)
             if part is not None:
                 corners, sums, triangles = part
@@ -104,7 +107,7 @@ class Mesher:
         """Return a block's vertices (N, 3) [cells, from its first], their sums (N, 8) and its triangles (M, 3)."""
         weight = block.sums[..., WEIGHT]
         distance = np.asarray(block.sums[..., DISTANCE] / np.where(weight > 0, weight, 1), dtype=np.float32)
-        cuts = _is_cut(distance) & (block.near >= self._config.min_points)
+        cuts = _is_cut(distance) & block.is_sampled
         if not cuts.any():
             return None
         mask = np.zeros(distance.shape, dtype=bool)
@@ -150,8 +153,11 @@ def _agrees(corners: F32, triangles: NDArray[Any], normals: Floats) -> Bool:
     Slivers, which face nowhere in particular, agree: without them the mesh would have slits.
     """
     a, b, c = (corners[triangles[:, k]] for k in range(3))
-    facing = np.einsum("ij,ij->i", np.cross(b - a, c - a), normals[triangles[:, 0]])
-    return np.asarray(facing > -SLIVER, dtype=bool)
+    across = np.cross(b - a, c - a)
+    near = normals[triangles].sum(axis=1)
+    facing = np.einsum("ij,ij->i", across, near)
+    size = np.linalg.norm(across, axis=1)
+    return np.asarray((size < SLIVER) | (facing >= LEAST_AGREEMENT * size * np.linalg.norm(near, axis=1)), dtype=bool)
 
 
 def _on_border(corners: F64) -> Bool:

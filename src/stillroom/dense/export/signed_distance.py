@@ -14,16 +14,21 @@ import numpy as np
 from numba import njit
 
 from stillroom.data.cloud.dense_cloud import DenseCloud
-from stillroom.geometry.arrays import F32, F64, I32, I64, U8
+from stillroom.errors import MapError
+from stillroom.geometry.arrays import F32, F64, I32, I64, U8, Bool
 
 BLOCK = 64
 """Cells of a block along an edge."""
 
-REACH = 2
-"""Points reach the corners of the 3×3×3 cells around them, which lie less than this many cells away."""
+REACH = 3
+"""How many cells outside a block points can lie that matter to it: one as far as their distances, and three as to
+whether others are alone."""
 
 OFFSET_CELLS = 0.37
 """Where the grid starts, so that surfaces at round coordinates do not run through its corners."""
+
+MAX_NUMBER = 2.0**62
+"""Points and blocks together get a number each, which must fit 64 bits."""
 
 WEIGHT, DISTANCE, NORMAL, RGB = 0, 1, slice(2, 5), slice(5, 8)
 """What is summed at a corner."""
@@ -36,15 +41,15 @@ class Block:
     Attributes:
         first_cell: Of its lowest corner (3,).
         sums: At each corner (65, 65, 65, 8): weight, and weighted distance [cells], normal and colour.
-        near: How many points lie in the 3×3×3 cells around each cell (64, 64, 64), at most 255.
+        is_sampled: Whether a point that is not alone lies in the 3×3×3 cells around each cell (64, 64, 64).
     """
 
     first_cell: I64
     sums: F32
-    near: U8
+    is_sampled: Bool
 
 
-def blocks(cloud: DenseCloud, cell_m: float, max_weight: float) -> Iterator[Block]:
+def blocks(cloud: DenseCloud, cell_m: float, max_weight: float, min_points: int) -> Iterator[Block]:
     """Yield the blocks that points lie in or at; the arrays of each are used again for the next.
 
     Corners that blocks share have the very same sums in each.
@@ -53,20 +58,28 @@ def blocks(cloud: DenseCloud, cell_m: float, max_weight: float) -> Iterator[Bloc
         cloud: The points.
         cell_m: Edge of a cell [m].
         max_weight: A point counts by its weight up to here.
+        min_points: A point is alone if fewer lie in the 5×5×5 cells around it, itself among them.
+
+    Raises:
+        MapError: The points lie so far apart that blocks cannot be numbered.
     """
     grid = cloud.positions_m.astype(np.float64) / cell_m - OFFSET_CELLS
     cells = np.floor(grid).astype(np.int64)
     inside = (grid - cells).astype(np.float32)
     weight = np.clip(cloud.weight, 1e-3, max_weight).astype(np.float32)
     sums = np.zeros((BLOCK + 1, BLOCK + 1, BLOCK + 1, RGB.stop), dtype=np.float32)
-    near = np.zeros((BLOCK, BLOCK, BLOCK), dtype=np.uint8)
+    counts = np.zeros((BLOCK + 2, BLOCK + 2, BLOCK + 2), dtype=np.uint8)
+    is_sampled = np.zeros((BLOCK, BLOCK, BLOCK), dtype=bool)
     for block, members in _members(cells):
         first_cell = block * BLOCK
         sums.fill(0.0)
-        near.fill(0)
+        counts.fill(0)
+        is_sampled.fill(False)
         local = (cells[members] - first_cell).astype(np.int32)
-        _splat(local, inside[members], cloud.normals[members], cloud.rgb[members], weight[members], sums, near)
-        yield Block(first_cell, sums, near)
+        _splat(local, inside[members], cloud.normals[members], cloud.rgb[members], weight[members], sums)
+        _count_around(local, counts)
+        _mark_around(local, counts, min_points, is_sampled)
+        yield Block(first_cell, sums, is_sampled)
 
 
 def corner_position_m(corners: F64, cell_m: float) -> F64:
@@ -80,6 +93,8 @@ def _members(cells: I64) -> Iterator[tuple[I64, I64]]:
         return
     lowest = cells.min(axis=0) // BLOCK - 1
     size = cells.max(axis=0) // BLOCK + 2 - lowest
+    if float(np.prod(size.astype(np.float64))) * len(cells) > MAX_NUMBER:
+        raise MapError("the dense map is too wide for a mesh; are some of its points far away from all others?")
 
     def number(of: I64) -> I64:
         place = of // BLOCK - lowest
@@ -99,8 +114,8 @@ def _members(cells: I64) -> Iterator[tuple[I64, I64]]:
 
 
 @njit(nogil=True, cache=True)
-def _splat(cells: I32, inside: F32, normals: F32, rgb: U8, weight: F32, sums: F32, near: U8) -> None:
-    """Add points to the corners that they reach, and count them in the cells around.
+def _splat(cells: I32, inside: F32, normals: F32, rgb: U8, weight: F32, sums: F32) -> None:
+    """Add points to the corners that they reach.
 
     Args:
         cells: In which cell of the block each lies (N, 3); may be a little outside.
@@ -109,10 +124,9 @@ def _splat(cells: I32, inside: F32, normals: F32, rgb: U8, weight: F32, sums: F3
         rgb: (N, 3).
         weight: (N,).
         sums: Changed.
-        near: Changed.
     """
     kernel = np.empty((3, 4))
-    n_corners, n_cells = sums.shape[0], near.shape[0]
+    n_corners = sums.shape[0]
     for i in range(len(cells)):
         for axis in range(3):
             for place in range(4):
@@ -142,5 +156,32 @@ def _splat(cells: I32, inside: F32, normals: F32, rgb: U8, weight: F32, sums: F3
                     for k in range(3):
                         at[2 + k] += w * normals[i, k]
                         at[5 + k] += w * rgb[i, k]
-                    if a < 3 and b < 3 and c < 3 and x < n_cells and y < n_cells and z < n_cells:
-                        near[x, y, z] += near[x, y, z] < 255
+
+
+@njit(nogil=True, cache=True)
+def _count_around(cells: I32, counts: U8) -> None:
+    """Count points, by their cells (N, 3), in the 5×5×5 cells around each, up to 255.
+
+    `counts` is changed; it begins one cell before the block and ends one behind, so that the cells just outside, whose
+    points matter to those inside, have all of theirs.
+    """
+    n = counts.shape[0]
+    for i in range(len(cells)):
+        for x in range(max(cells[i, 0] - 1, 0), min(cells[i, 0] + 4, n)):
+            for y in range(max(cells[i, 1] - 1, 0), min(cells[i, 1] + 4, n)):
+                for z in range(max(cells[i, 2] - 1, 0), min(cells[i, 2] + 4, n)):
+                    counts[x, y, z] += counts[x, y, z] < 255
+
+
+@njit(nogil=True, cache=True)
+def _mark_around(cells: I32, counts: U8, min_points: int, is_sampled: Bool) -> None:
+    """Mark the 3×3×3 cells around each point, by its cell (N, 3), that is not alone."""
+    n = is_sampled.shape[0]
+    for i in range(len(cells)):
+        u, v, w = cells[i, 0], cells[i, 1], cells[i, 2]
+        if min(u, v, w) < -1 or max(u, v, w) > n or counts[u + 1, v + 1, w + 1] < min_points:
+            continue
+        for x in range(max(u - 1, 0), min(u + 2, n)):
+            for y in range(max(v - 1, 0), min(v + 2, n)):
+                for z in range(max(w - 1, 0), min(w + 2, n)):
+                    is_sampled[x, y, z] = True

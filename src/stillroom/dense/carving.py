@@ -6,17 +6,17 @@ import numpy as np
 
 from stillroom.data.image import RgbdImage
 from stillroom.data.map import Map
-from stillroom.dense.keyframe_cloud import UNIT_M, SurfaceConfig, in_units
+from stillroom.dense.keyframe_cloud import UNIT_M, SurfaceConfig
 from stillroom.dense.moving_removal import near_moving
-from stillroom.dense.voxels.evidence_kernels import HIT, judge_in_view, judge_rows, mean_positions
+from stillroom.dense.voxels.evidence_kernels import NOTHING, answers, judge_in_view, judge_rows, mean_positions, rows_in
 from stillroom.dense.voxels.voxel_map import VoxelMap, block_centres_m, in_frustum
-from stillroom.dense.witnesses import Witnesses, lens_of, views_of
+from stillroom.dense.witnesses import Witnesses, lens_of, small_depth, views_of
 from stillroom.geometry import se3
-from stillroom.geometry.arrays import F64, I32, I64, U8, U16, Bool
+from stillroom.geometry.arrays import F64, I32, I64, U16, Bool
 from stillroom.geometry.camera import Camera
 
 COARSER = 2
-"""Rays that carve are taken at the stride of the clouds times this."""
+"""Rays that carve are taken at the stride of the clouds times this, and points of moving things at twice that."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class CarvingConfig:
             and this share of the depth, with all rays around it.
         hit, lowest, highest: See above.
         n_asked: Earlier images that are asked about new voxels.
-        every: Every how many-th frame that is no keyframe is used.
+        every: Every how many-th frame is used. A keyframe is one of them; where no other frames are offered, all are.
     """
 
     removal: bool = True
@@ -45,7 +45,7 @@ class CarvingConfig:
     hit: int = 2
     lowest: int = -10
     highest: int = 12
-    n_asked: int = 12
+    n_asked: int = 8
     every: int = 3
 
 
@@ -63,22 +63,18 @@ class Carver:
     ) -> None:
         """Start without earlier images."""
         self.config, self.voxels, self.world, self.camera = config, voxels, world, camera
-        self._stride = COARSER * surface.stride
         self._far_m = surface.far_m
         self._size_px, self._lens = (camera.width, camera.height), lens_of(camera)
         self._witnesses = Witnesses(camera, most_witnesses)
         self._limits = config.lowest, config.highest
-        self._n_offered = 0
+        self._stride = COARSER * surface.stride
+        self._seeing = float(UNIT_M), self._stride, config.tolerance_m, config.tolerance_share
+        self._since_judged = config.every
 
     @property
     def n_bytes(self) -> int:
         """Memory that is held."""
         return self._witnesses.n_bytes
-
-    def wants_frame(self) -> bool:
-        """Count a frame that is offered, and tell whether it is one to use."""
-        self._n_offered += 1
-        return self._n_offered % self.config.every == 0
 
     def in_view(self, block_keys: I64, T_world_cam: F64) -> Bool:
         """Tell of blocks (B,) whether a camera at a pose (4, 4) may see into them."""
@@ -89,7 +85,7 @@ class Carver:
     def judge_keyframe(
         self, keyframe: int, image: RgbdImage, excluded: Bool | None, T_world_cam: F64, now: int
     ) -> None:
-        """Let a keyframe carve, and remove from the map what it shows to be moving.
+        """Remove from the map what a keyframe shows to be moving, and let it carve if its turn has come.
 
         Args:
             keyframe: Its id; it is remembered by it.
@@ -98,17 +94,24 @@ class Carver:
             T_world_cam: Its pose (4, 4).
             now: Time that voided voxels are marked with.
         """
-        depth, moving = self._small(image, excluded)
-        near, said = self._judge(depth, moving, T_world_cam, now)
-        self._remove_moving(depth, moving, T_world_cam, near, said, now)
-        self._witnesses.remember(keyframe, np.eye(4), T_world_cam, depth, moving)
+        self._since_judged += 1
+        depth = small_depth(image.depth_m, excluded, self._stride)
+        # Frames between keyframes carve too, and tell as much: with them, a keyframe seldom needs to.
+        if self._since_judged > 2 * self.config.every:
+            self._judge(depth, T_world_cam, now)
+        if excluded is not None:
+            self._remove_moving(depth, T_world_cam, now)
+        self._witnesses.remember(keyframe, np.eye(4), T_world_cam, depth)
 
-    def judge_frame(self, keyframe: int, image: RgbdImage, excluded: Bool | None, T_world_cam: F64, now: int) -> None:
-        """Let a frame carve that is remembered by its place beside a keyframe. Arguments as above."""
-        depth, moving = self._small(image, excluded)
-        self._judge(depth, moving, T_world_cam, now)
-        T_keyframe_cam = se3.inverse(self.world.keyframe_pose(keyframe)) @ T_world_cam
-        self._witnesses.remember(keyframe, T_keyframe_cam, T_world_cam, depth, moving)
+    def judge_frame(
+        self, keyframe: int, T_keyframe_cam: F64, image: RgbdImage, excluded: Bool | None, T_world_cam: F64, now: int
+    ) -> None:
+        """Let a frame carve if its turn has come; it is remembered by its place beside a keyframe. Else as above."""
+        self._since_judged += 1
+        if self._since_judged >= self.config.every:
+            depth = small_depth(image.depth_m, excluded, self._stride)
+            self._judge(depth, T_world_cam, now)
+            self._witnesses.remember(keyframe, T_keyframe_cam, T_world_cam, depth)
 
     def ask_earlier(self, newborn: I32) -> None:
         """Give voxels (M,) that were empty the score that remembered images give them, in order of time."""
@@ -118,33 +121,23 @@ class Carver:
             return
         voxels.score[rows] = 0
         positions_m = mean_positions(rows, voxels.key, voxels.rows, voxels.voxel_m)
-        for witness in self._witnesses.choose(positions_m, self._far_m, config.n_asked, self.world):
+        for T_cam_world, depth in self._witnesses.choose(positions_m, self._far_m, config.n_asked, self.world):
             judge_rows(
                 rows,
                 positions_m,
                 voxels.rows,
-                witness.T_cam_world,
+                T_cam_world,
                 self._lens,
-                witness.views(),
-                self._stride,
-                config.tolerance_m,
-                config.tolerance_share,
+                views_of(depth),
+                *self._seeing,
                 config.hit,
                 self._limits,
             )
 
-    def _small(self, image: RgbdImage, excluded: Bool | None) -> tuple[U16, Bool]:
-        depth = in_units(image.depth_m[:: self._stride, :: self._stride])
-        if excluded is None:
-            return depth, np.zeros(depth.shape, dtype=np.bool_)
-        return depth, excluded[:: self._stride, :: self._stride].copy()
-
-    def _judge(self, depth: U16, moving: Bool, T_world_cam: F64, now: int) -> tuple[Bool, U8]:
-        """Let a small depth image (h, w) judge what is in view; return blocks (B,) in view, and what it said (N,)."""
-        voxels, config = self.voxels, self.config
-        T_cam_world = se3.inverse(T_world_cam)
+    def _judge(self, depth: U16, T_world_cam: F64, now: int) -> None:
+        """Let a small depth image (h, w) judge what is in view."""
+        voxels, T_cam_world = self.voxels, se3.inverse(T_world_cam)
         near = voxels.blocks_near(T_cam_world, self._lens, self._size_px, self._far_m)
-        said = np.zeros(voxels.n_rows, dtype=np.uint8)
         judge_in_view(
             near,
             voxels.key,
@@ -153,29 +146,32 @@ class Carver:
             voxels.voxel_m,
             T_cam_world,
             self._lens,
-            views_of(depth, moving),
-            self._stride,
-            config.tolerance_m,
-            config.tolerance_share,
-            config.hit,
+            views_of(depth),
+            *self._seeing,
+            self.config.hit,
             self._limits,
-            said,
         )
-        return near, said
+        self._since_judged = 0
 
-    def _remove_moving(self, depth: U16, moving: Bool, T_world_cam: F64, near: Bool, said: U8, now: int) -> None:
-        """Empty the voxels near moving pixels (h, w); those that the same image shows as static surface stay."""
+    def _remove_moving(self, depth: U16, T_world_cam: F64, now: int) -> None:
+        """Empty voxels near moving pixels (h, w) of which the image says nothing else: neither static nor passed."""
         voxels, config = self.voxels, self.config
-        known = moving & (depth > 0) & (depth * UNIT_M <= self._far_m)
-        if not known.any():
+        moving_m = self._moving_points(depth, T_world_cam)
+        close = near_moving(moving_m, voxels.block_centres_m, config.radius_m + voxels.block_radius_m)
+        if not close.any():
             return
-        row, column = np.nonzero(known)
-        raw_px = np.stack((column, row), axis=1).astype(np.float32) * np.float32(self._stride)
-        depth_m = np.multiply(depth[known], UNIT_M, dtype=np.float32)
-        moving_m = se3.transform(T_world_cam, self.camera.back_project(self.camera.undistort(raw_px), depth_m))
-        close = near & near_moving(moving_m, voxels.block_centres_m, config.radius_m + voxels.block_radius_m)
-        rows = np.flatnonzero(close[voxels.block])
-        rows = rows[(said[rows] != HIT) & (voxels.weight[rows] > 0)].astype(np.int32)
+        rows = rows_in(close, voxels.rows)
         positions_m = mean_positions(rows, voxels.key, voxels.rows, voxels.voxel_m)
-        gone = near_moving(moving_m, positions_m, config.radius_m)
-        voxels.void(rows[gone], now, config.lowest)
+        said = answers(positions_m, se3.inverse(T_world_cam), self._lens, views_of(depth), *self._seeing)
+        open_to_it = said == NOTHING
+        gone = near_moving(moving_m, positions_m[open_to_it], config.radius_m)
+        voxels.void(rows[open_to_it][gone], now, config.lowest)
+
+    def _moving_points(self, depth: U16, T_world_cam: F64) -> F64:
+        """Return points (M, 3) [m, world] of what moves."""
+        coarse = depth[::COARSER, ::COARSER]
+        depth_m = np.multiply(coarse, UNIT_M, dtype=np.float32)
+        row, column = np.nonzero((coarse % 2 == 1) & (depth_m <= self._far_m))
+        raw_px = np.stack((column, row), axis=1).astype(np.float32) * np.float32(COARSER * self._stride)
+        points_cam_m = self.camera.back_project(self.camera.undistort(raw_px), depth_m[row, column])
+        return se3.transform(T_world_cam, points_cam_m)

@@ -10,7 +10,7 @@ from stillroom.data.image import RgbdImage
 from stillroom.data.map import Map
 from stillroom.dense.carving import Carver, CarvingConfig
 from stillroom.dense.cloud_store import CloudStore
-from stillroom.dense.fused_keyframes import FusedKeyframes
+from stillroom.dense.fused_views import FusedViews
 from stillroom.dense.keyframe_cloud import CloudMaker, KeyframeCloud, SurfaceConfig
 from stillroom.dense.surface_kernels import I8
 from stillroom.dense.voxels.extraction import extract
@@ -37,7 +37,9 @@ class DenseMapperConfig:
         carving: What is taken out again.
         correction_m: A keyframe is fused anew when its pose in the map has moved a point two metres and a half away by
             more than this.
-        corrections: Keyframes fused anew with each new keyframe, at most; `refresh` does all.
+        corrections: Views fused anew with each new keyframe, at most; `refresh` does all.
+        fuse_every: Where so many frames pass without a keyframe, one of them is fused too: a camera that stands still
+            makes no keyframes, and things still appear. 0: keyframes only.
         least_pixels: A point needs the weight of this many pixels at one metre; a pixel at four counts 1/16.
         layer_voxels: How far to either side noise may smear a surface; it comes out as one layer. 0: as it is.
         max_memory_mb: What the map may hold in memory [MB]; the rest lies in a temporary file. What one view shows
@@ -50,8 +52,9 @@ class DenseMapperConfig:
     carving: CarvingConfig = field(default_factory=CarvingConfig)
     correction_m: float = 0.01
     corrections: int = 1
-    least_pixels: float = 0.1
-    layer_voxels: int = 4
+    fuse_every: int = 8
+    least_pixels: float = 0.0
+    layer_voxels: int = 2
     max_memory_mb: float = 512.0
     swap_folder: Path | None = None
 
@@ -70,13 +73,16 @@ class DenseMapper:
         self._maker = CloudMaker(config.surface, camera)
         self._clouds = CloudStore(self._maker.shape, CLOUD_SHARE * config.max_memory_mb * MB, config.swap_folder)
         self._swapped = SwappedBlocks(config.swap_folder)
-        self._fused = FusedKeyframes()
-        n_pixels = self._maker.shape[0] * self._maker.shape[1] / 4
-        most = max(16, int(WITNESS_SHARE * config.max_memory_mb * MB / (2.125 * n_pixels)))
+        self._views = FusedViews()
+        self._view_of: dict[int, int] = {}
+        bytes_of_witness = self._maker.shape[0] * self._maker.shape[1] / 2
+        most = max(16, int(WITNESS_SHARE * config.max_memory_mb * MB / bytes_of_witness))
         self._carver = Carver(config.carving, config.surface, camera, self.voxels, world, most)
         self._size_px, self._lens = (camera.width, camera.height), lens_of(camera)
+        self._newborn: I32 = np.zeros(0, dtype=np.int32)
         self._clock = 0
         self._last_keyframe = -1
+        self._since_fused = 0
 
     @property
     def n_bytes(self) -> int:
@@ -94,17 +100,14 @@ class DenseMapper:
         T_world_cam = self.world.keyframe_pose(keyframe)
         if not np.all(np.isfinite(T_world_cam)):
             return
-        if keyframe in self._clouds:
-            self._take_out(keyframe)
-        self._bring_back_in_view(T_world_cam)
-        carving = self.config.carving
-        cloud, normals = self._maker.make(image, excluded if carving.removal else None)
-        newborn = self._put_in(keyframe, cloud, normals, T_world_cam)
+        if keyframe in self._view_of and self._view_of[keyframe] in self._clouds:
+            self._take_out(self._view_of[keyframe])
+        self._view_of[keyframe] = self._views.new(keyframe, np.eye(4))
+        self._fuse(self._view_of[keyframe], image, excluded, T_world_cam)
         self._last_keyframe = keyframe
-        if carving.removal:
-            self._clock += 1
-            self._carver.judge_keyframe(keyframe, image, excluded, T_world_cam, self._clock)
-            self._carver.ask_earlier(newborn)
+        if self.config.carving.removal:
+            self._carver.judge_keyframe(keyframe, image, excluded, T_world_cam, self._tick())
+            self._carver.ask_earlier(self._newborn)
         self._correct(self.config.corrections)
         self._keep_within_bound(T_world_cam)
 
@@ -116,11 +119,18 @@ class DenseMapper:
             T_world_cam: Its pose (4, 4).
             excluded: Pixels that move (H, W); their rays count too, but are no sign of a surface.
         """
-        if not self.config.carving.removal or self._last_keyframe < 0 or not np.all(np.isfinite(T_world_cam)):
+        if self._last_keyframe < 0 or not np.all(np.isfinite(T_world_cam)):
             return
-        if self._carver.wants_frame():
-            self._clock += 1
-            self._carver.judge_frame(self._last_keyframe, image, excluded, T_world_cam, self._clock)
+        keyframe, removal = self._last_keyframe, self.config.carving.removal
+        T_keyframe_cam = se3.inverse(self.world.keyframe_pose(keyframe)) @ T_world_cam
+        if removal:
+            self._carver.judge_frame(keyframe, T_keyframe_cam, image, excluded, T_world_cam, self._tick())
+        self._since_fused += 1
+        if 0 < self.config.fuse_every <= self._since_fused:
+            self._fuse(self._views.new(keyframe, T_keyframe_cam), image, excluded, T_world_cam)
+            if removal:
+                self._carver.ask_earlier(self._newborn)
+            self._keep_within_bound(T_world_cam)
 
     def refresh(self) -> None:
         """Fuse all keyframes anew whose poses in the map have changed, culled ones too."""
@@ -136,37 +146,46 @@ class DenseMapper:
             shown &= rows[:, SCORE] > 0
         return extract(key[shown], rows[shown], config.voxel_m, config.layer_voxels)
 
-    def _put_in(self, keyframe: int, cloud: KeyframeCloud, normals: I8, T_world_cam: F64) -> I32:
-        """Add a cloud under a pose, and keep it; return the voxels that had no weight before."""
+    def _fuse(self, view: int, image: RgbdImage, excluded: Bool | None, T_world_cam: F64) -> None:
+        self._bring_back_in_view(T_world_cam)
+        cloud, normals = self._maker.make(image, excluded if self.config.carving.removal else None)
+        self._put_in(view, cloud, normals, T_world_cam)
+        self._since_fused = 0
+
+    def _put_in(self, view: int, cloud: KeyframeCloud, normals: I8, T_world_cam: F64) -> None:
+        """Add a cloud under a pose, and keep it; `_newborn` are then the voxels that had no weight before."""
         placed = self.voxels.place(cloud, self._maker.rays, normals, T_world_cam)
         self._swapped.back(self.voxels, self._swapped.of_pixels(placed.keys))
-        newborn = self.voxels.add(placed)
-        self._fused.note(keyframe, T_world_cam, self._clock)
-        for lost in self._clouds.put(keyframe, cloud):
-            self._fused.forget(lost)
-        return newborn
+        self._newborn = self.voxels.add(placed)
+        self._views.note(view, T_world_cam, self._tick())
+        for lost in self._clouds.put(view, cloud):
+            self._views.forget(lost)
 
-    def _take_out(self, keyframe: int) -> tuple[KeyframeCloud, I8]:
-        """Subtract a keyframe where it was added, and return its cloud; what was voided since is no longer usable."""
-        cloud = self._clouds.take(keyframe)
+    def _take_out(self, view: int) -> tuple[KeyframeCloud, I8]:
+        """Subtract a view where it was added, and return its cloud; what was voided since is no longer usable."""
+        cloud = self._clouds.take(view)
         normals = self._maker.find_surfaces(cloud)
-        T_world_cam, added_at = self._fused.of(keyframe)
+        T_world_cam, added_at = self._views.fused_under(view)
         placed = self.voxels.place(cloud, self._maker.rays, normals, T_world_cam)
         self._swapped.back(self.voxels, self._swapped.of_pixels(placed.keys))
         self.voxels.subtract(placed, added_at)
+        self._views.forget(view)
         return cloud, normals
 
     def _correct(self, most: int | None) -> None:
-        """Fuse keyframes anew that moved, the farthest moved first; without a limit, culled ones too."""
-        for keyframe in self._fused.moved(self.world, self.config.correction_m, with_culled=most is None)[:most]:
-            T_world_cam = self.world.keyframe_pose(keyframe)
-            cloud, normals = self._take_out(keyframe)
-            self._clock += 1
-            newborn = self._put_in(keyframe, cloud, normals, T_world_cam)
+        """Fuse views anew that moved, the farthest moved first; without a limit, those on culled keyframes too."""
+        for view in self._views.moved(self.world, self.config.correction_m, with_culled=most is None)[:most]:
+            T_world_cam = self._views.pose_now(view, self.world)
+            cloud, normals = self._take_out(view)
+            self._put_in(view, cloud, normals, T_world_cam)
             if self.config.carving.removal:
-                self._carver.ask_earlier(newborn)
+                self._carver.ask_earlier(self._newborn)
             if most is None:
                 self._keep_within_bound(T_world_cam)
+
+    def _tick(self) -> int:
+        self._clock += 1
+        return self._clock
 
     def _bring_back_in_view(self, T_world_cam: F64) -> None:
         """Bring back what lies in the file and in view, so that it can be judged."""

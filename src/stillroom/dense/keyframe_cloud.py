@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from stillroom.data.image import RgbdImage
-from stillroom.dense.surface_kernels import I8, find_surfaces
+from stillroom.dense.surface_kernels import I8, find_surfaces, take_every, to_units
 from stillroom.geometry.arrays import F32, U8, U16, Bool
 from stillroom.geometry.camera import Camera
 
@@ -86,8 +86,9 @@ class CloudMaker:
             excluded: Pixels that move (H, W); None for none.
         """
         stride = self.config.stride
-        depth = smoothed(in_units(image.depth_m[::stride, ::stride]))
-        rgb = np.ascontiguousarray(image.rgb[::stride, ::stride])
+        depth = smoothed(in_units(image.depth_m, stride))
+        rgb = np.empty((*depth.shape, 3), dtype=np.uint8)
+        take_every(image.rgb, stride, rgb)
         usable = (depth > 0).astype(np.uint8)
         cloud = KeyframeCloud(depth, rgb, usable)
         if excluded is not None:
@@ -126,14 +127,17 @@ def smoothed(depth: U16) -> U16:
 
     In inverse depth the noise of a Kinect is the same everywhere, and a plane is a plane; unknown is far off.
     """
-    inverse = np.divide(1.0 / UNIT_M, depth, out=np.zeros(depth.shape, dtype=np.float32), where=depth > 0)
+    inverse = np.divide(1.0 / UNIT_M, np.maximum(depth, 1), dtype=np.float32)
+    inverse[depth == 0] = 0
     mean = cv2.bilateralFilter(inverse, SMOOTHING_PX, SAME_SURFACE_PER_M, SMOOTHING_PX / 2.0)
-    units = np.divide(1.0 / UNIT_M, mean, out=np.zeros(depth.shape, dtype=np.float32), where=depth > 0)
-    return np.asarray(np.rint(np.minimum(units, LARGEST)), dtype=np.uint16)
-
-
-def in_units(depth_m: F32) -> U16:
-    """Return depths [m] in units of `UNIT_M`; 0 where they are unknown, impossible or too far for uint16."""
-    units = np.nan_to_num(depth_m, nan=0.0, posinf=0.0, neginf=0.0) / UNIT_M
-    units[(units < 0) | (units > LARGEST)] = 0
+    units = np.minimum(1.0 / UNIT_M / np.maximum(mean, np.float32(1e-6)), np.float32(LARGEST))
+    units[depth == 0] = 0
     return np.asarray(np.rint(units), dtype=np.uint16)
+
+
+def in_units(depth_m: F32, stride: int) -> U16:
+    """Return every so many-th depth [m] in units of `UNIT_M`; 0 where it is unknown, impossible or too large."""
+    height, width = depth_m.shape
+    units: U16 = np.empty((-(-height // stride), -(-width // stride)), dtype=np.uint16)
+    to_units(depth_m, stride, float(UNIT_M), units)
+    return units

@@ -4,7 +4,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from stillroom.geometry.arrays import F32, U8
+from stillroom.geometry.arrays import F32, U8, U16
 
 I8 = NDArray[np.int8]
 NORMAL_SCALE = 127.0
@@ -44,13 +44,29 @@ def find_surfaces(depth_m: F32, rays: F32, near_m: float, far_m: float, least_co
             alike = 0
             for v in range(max(0, y - 1), min(height, y + 2)):
                 for u in range(max(0, x - 1), min(width, x + 2)):
-                    alike += abs(depth_m[v, u] - z) <= tolerance
+                    alike += 1 if abs(depth_m[v, u] - z) <= tolerance else 0
             if alike - 1 < FEWEST_ALIKE:
                 continue
             reach = min(LONGEST_REACH_PX, 1 + int(z))
             loose = tolerance + np.float32(SLOPE_PER_PX) * z * np.float32(reach)
-            left, right = _ends(depth_m[y], x, reach, loose)
-            above, below = _ends(depth_m[:, x], y, reach, loose)
+            left, right = x, x
+            if x >= reach and abs(depth_m[y, x - reach] - z) <= loose:
+                left = x - reach
+            elif x >= 1 and abs(depth_m[y, x - 1] - z) <= loose:
+                left = x - 1
+            if x + reach < width and abs(depth_m[y, x + reach] - z) <= loose:
+                right = x + reach
+            elif x + 1 < width and abs(depth_m[y, x + 1] - z) <= loose:
+                right = x + 1
+            above, below = y, y
+            if y >= reach and abs(depth_m[y - reach, x] - z) <= loose:
+                above = y - reach
+            elif y >= 1 and abs(depth_m[y - 1, x] - z) <= loose:
+                above = y - 1
+            if y + reach < height and abs(depth_m[y + reach, x] - z) <= loose:
+                below = y + reach
+            elif y + 1 < height and abs(depth_m[y + 1, x] - z) <= loose:
+                below = y + 1
             if left == right or above == below:
                 continue
             zl, zr, za, zb = depth_m[y, left], depth_m[y, right], depth_m[above, x], depth_m[below, x]
@@ -76,15 +92,18 @@ def find_surfaces(depth_m: F32, rays: F32, near_m: float, far_m: float, least_co
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _ends(line: F32, at: int, reach: int, tolerance: float) -> tuple[int, int]:
-    """Return from where to where a difference of depth may be taken along a row or column."""
-    first, last = at, at
-    if at - reach >= 0 and abs(line[at - reach] - line[at]) <= tolerance:
-        first = at - reach
-    elif at >= 1 and abs(line[at - 1] - line[at]) <= tolerance:
-        first = at - 1
-    if at + reach < len(line) and abs(line[at + reach] - line[at]) <= tolerance:
-        last = at + reach
-    elif at + 1 < len(line) and abs(line[at + 1] - line[at]) <= tolerance:
-        last = at + 1
-    return first, last
+def to_units(depth_m: F32, stride: int, unit_m: float, units: U16) -> None:
+    """Write every so many-th depth (H, W) [m] in units (h, w); 0 where it is unknown, impossible or too large."""
+    for y in range(units.shape[0]):
+        for x in range(units.shape[1]):
+            value = depth_m[y * stride, x * stride] / unit_m + 0.5
+            units[y, x] = np.uint16(value) if 1.0 <= value < 65536.0 else 0
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def take_every(rgb: U8, stride: int, small: U8) -> None:
+    """Write every so many-th pixel of a picture (H, W, 3) into a small one (h, w, 3)."""
+    for y in range(small.shape[0]):
+        for x in range(small.shape[1]):
+            for k in range(3):
+                small[y, x, k] = rgb[y * stride, x * stride, k]

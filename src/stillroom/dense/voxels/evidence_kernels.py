@@ -5,7 +5,7 @@ from numba import njit
 
 from stillroom.dense.voxels.fusing_kernels import BLOCK, FINE, PLACE, SCORE, VOIDED_AT, WEIGHT
 from stillroom.dense.voxels.hash_kernels import AXIS_BITS, AXIS_MASK, HALF
-from stillroom.geometry.arrays import F32, F64, I32, I64, U8, Bool
+from stillroom.geometry.arrays import F32, F64, I32, I64, U8, U16, Bool
 
 NOTHING, HIT, PASSED = 0, 1, 2
 
@@ -23,7 +23,16 @@ def position(key: int, row: int, rows: I32, voxel_m: float) -> tuple[float, floa
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def look(
-    X: float, Y: float, Z: float, T: F64, lens: F64, views: F32, stride: int, tolerance_m: float, share: float
+    X: float,
+    Y: float,
+    Z: float,
+    T: F64,
+    lens: F64,
+    views: U16,
+    unit_m: float,
+    stride: int,
+    tolerance_m: float,
+    share: float,
 ) -> int:
     """Ask a small depth image about a point of the world.
 
@@ -31,8 +40,9 @@ def look(
         X, Y, Z: The point [m].
         T: `T_cam_world` (4, 4).
         lens: fx fy cx cy k1 k2 p1 p2 k3 (9,).
-        views: Of each pixel (h, w, 3): its depth, negative where it shows what moves, 0 where unknown; the nearest and
-            the farthest depth of it and its eight neighbours.
+        views: Of each pixel (h, w, 3): its depth, odd where it shows what moves, 0 where unknown; the nearest and the
+            farthest depth of it and its eight neighbours, 0 where all are unknown.
+        unit_m: One unit of depth.
         stride: Of the small image.
         tolerance_m, share: Depths agree within the larger of the first and this share of the depth.
     """
@@ -54,14 +64,17 @@ def look(
     column, row = int(u * finer + 0.5), int(v * finer + 0.5)
     if row >= views.shape[0] or column >= views.shape[1]:
         return NOTHING
-    seen = views[row, column, 0]
-    if seen == 0.0:
+    units = views[row, column, 0]
+    if units == 0:
         return NOTHING
     tolerance = max(tolerance_m, share * z)
-    nearest, farthest = views[row, column, 1], views[row, column, 2]
+    nearest, farthest = views[row, column, 1] * unit_m, views[row, column, 2] * unit_m
     if nearest > z + tolerance:
         return PASSED
-    if seen > 0.0 and (abs(seen - z) <= tolerance or abs(nearest - z) <= tolerance or abs(farthest - z) <= tolerance):
+    moves = units & 1
+    if not moves and (
+        abs(units * unit_m - z) <= tolerance or abs(nearest - z) <= tolerance or abs(farthest - z) <= tolerance
+    ):
         return HIT
     return NOTHING
 
@@ -75,13 +88,13 @@ def judge_in_view(
     voxel_m: float,
     T_cam_world: F64,
     lens: F64,
-    views: F32,
+    views: U16,
+    unit_m: float,
     stride: int,
     tolerance_m: float,
     share: float,
     gain: int,
     limits: tuple[int, int],
-    said: U8,
 ) -> int:
     """Let a depth image judge all voxels with weight in the blocks (B,) that are near; return how many were voided.
 
@@ -92,19 +105,16 @@ def judge_in_view(
         row_key, rows: Keys (N,) and columns of the rows.
         now: Time that voided voxels are marked with.
         voxel_m: Edge of a voxel.
-        T_cam_world, lens, views, stride, tolerance_m, share: See `look`.
+        T_cam_world, lens, views, unit_m, stride, tolerance_m, share: See `look`.
         gain: What a hit counts; a pass counts 1.
         limits: Lowest and highest score.
-        said: Takes what was said of each row (N,).
     """
     n_voided = 0
     for i in range(len(row_key)):
-        said[i] = NOTHING
         if rows[i, WEIGHT] == 0 or not is_near[rows[i, BLOCK]]:
             continue
         X, Y, Z = position(row_key[i], i, rows, voxel_m)
-        answer = look(X, Y, Z, T_cam_world, lens, views, stride, tolerance_m, share)
-        said[i] = answer
+        answer = look(X, Y, Z, T_cam_world, lens, views, unit_m, stride, tolerance_m, share)
         score = rows[i, SCORE]
         if answer == HIT:
             rows[i, SCORE] = min(limits[1], score + gain)
@@ -126,7 +136,8 @@ def judge_rows(
     rows: I32,
     T_cam_world: F64,
     lens: F64,
-    views: F32,
+    views: U16,
+    unit_m: float,
     stride: int,
     tolerance_m: float,
     share: float,
@@ -136,12 +147,43 @@ def judge_rows(
     """Let a depth image judge chosen rows (M,) at positions (M, 3); nothing is voided. Else as `judge_in_view`."""
     for i in range(len(chosen)):
         X, Y, Z = positions_m[i]
-        answer = look(X, Y, Z, T_cam_world, lens, views, stride, tolerance_m, share)
+        answer = look(X, Y, Z, T_cam_world, lens, views, unit_m, stride, tolerance_m, share)
         row = chosen[i]
         if answer == HIT:
             rows[row, SCORE] = min(limits[1], rows[row, SCORE] + gain)
         elif answer == PASSED:
             rows[row, SCORE] = max(limits[0], rows[row, SCORE] - 1)
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def answers(
+    positions_m: F32,
+    T_cam_world: F64,
+    lens: F64,
+    views: U16,
+    unit_m: float,
+    stride: int,
+    tolerance_m: float,
+    share: float,
+) -> U8:
+    """Return what a depth image says of points (M, 3) [m, world], (M,). Arguments as of `look`."""
+    said = np.empty(len(positions_m), dtype=np.uint8)
+    for i in range(len(positions_m)):
+        X, Y, Z = positions_m[i]
+        said[i] = look(X, Y, Z, T_cam_world, lens, views, unit_m, stride, tolerance_m, share)
+    return said
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def rows_in(chosen: Bool, rows: I32) -> I32:
+    """Return which rows with weight (M,) lie in chosen blocks (B,)."""
+    found = np.empty(len(rows), dtype=np.int32)
+    n = 0
+    for i in range(len(rows)):
+        if chosen[rows[i, BLOCK]] and rows[i, WEIGHT] > 0:
+            found[n] = i
+            n += 1
+    return found[:n].copy()
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

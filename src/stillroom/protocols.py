@@ -5,6 +5,7 @@ socket               question it answers                                        
 ===================  ===========================================================  =======================
 `Dataset`            what did the camera see, and when?                           `datasets`
 `Segmenter`          what may move in this image?                                 `semantics`
+`Clusterer`          what does the depth cloud of this image fall into?           `semantics`
 `KeypointSieve`      which keypoints may tracking use? (sieve 1)                  `dynamics`
 `MatchSieve`         which matches, and which of the image, do move? (sieve 2)    `dynamics`
 `FeatureExtractor`   where are the corners, and what do they look like?           `features`
@@ -80,6 +81,13 @@ class Pending(Protocol[T_co]):
 
     def result(self) -> T_co:
         """Wait for the answer and return it; raise what the work raised."""
+
+
+class Clusterer(Protocol):
+    """Takes the depth cloud of an image apart. Called once for each image, in order."""
+
+    def __call__(self, image: RgbdImage, semantics: Pending[Semantics]) -> Semantics:
+        """Return the semantics with the clusters added; await what may move only where it helps."""
 
 
 class Schedule(Protocol):

@@ -17,7 +17,7 @@ from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64
 from stillroom.geometry.camera import Camera
 from stillroom.mapping.local_mapper import LocalMapper
-from stillroom.protocols import FeatureExtractor, KeypointSieve, Pending, RunObserver, Schedule, Segmenter
+from stillroom.protocols import Clusterer, FeatureExtractor, KeypointSieve, Pending, RunObserver, Schedule, Segmenter
 from stillroom.schedule import InOrder
 from stillroom.tracking.keyframe_policy import KeyframePolicy
 from stillroom.tracking.relocalizer import Relocalizer
@@ -31,6 +31,7 @@ class Slam:
 
     schedule: Schedule
     segmenter: Segmenter
+    clusterer: Clusterer
     features: FeatureExtractor
     keypoint_sieve: KeypointSieve
     tracker: Tracker
@@ -44,6 +45,7 @@ class Slam:
     def process(self, image: RgbdImage) -> FrameResult:
         """Track one image; images come in order of time."""
         semantics = self.schedule.submit(self.segmenter, image)  # what may move; awaited by the sieve that reads it
+        semantics = self.schedule.submit(self.clusterer, image, semantics)  # the same, with clusters of the depth cloud
         frame = self.features.extract(image)
         frame = self.keypoint_sieve(frame, semantics)  # sieve 1
         tracked = self.tracker.track(frame, semantics, self.map)  # sieve 2 inside: a pose, and what does move
@@ -145,6 +147,7 @@ def build(
     return Slam(
         schedule=schedule or InOrder(),
         segmenter=clock.timed("semantics", segmenter),
+        clusterer=clock.timed("clusters", config.clusters.build(camera, config.seed)),
         features=timed_part(config.features.build(camera, config.seed), clock, extract="features"),
         keypoint_sieve=KeepAllKeypoints(),
         tracker=timed_part(tracker, clock, track="tracking"),

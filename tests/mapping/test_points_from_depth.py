@@ -21,9 +21,13 @@ def tracked_frame(frame: Frame, point_ids: np.ndarray | None = None) -> Tracked:
     return Tracked(frame, TrackingState.OK, POSE, ids, Motion.none(len(frame), 480, 640))
 
 
-def made(frame: Frame, is_static: np.ndarray | None = None) -> tuple[Map, np.ndarray, np.ndarray]:
-    """Return the map after one keyframe, the new points' ids, and which keypoints (N,) made one."""
+def made(frame: Frame, is_static: np.ndarray | None = None, first: bool = False) -> tuple[Map, np.ndarray, np.ndarray]:
+    """Return the map after a keyframe (the second, unless `first`), its points' ids, and which keypoints made one."""
     world = Map(SCALES)
+    if not first:
+        blank, _ = SmallWorld.of(0, 0).look(POSE, depth_share=0.0)
+        assert len(blank) == 0
+        world.add_keyframe(blank, POSE, np.zeros(0, np.int32), blank.is_static, -1)
     static = frame.is_static if is_static is None else is_static
     tracked = tracked_frame(frame)
     keyframe = world.add_keyframe(frame, POSE, tracked.point_ids, static, -1)
@@ -50,7 +54,16 @@ def test_all_close_points_are_made_where_they_are(view: tuple[SmallWorld, Frame,
     has_right = frame.keypoints.right_px[made_map.observations(ids)[1]] >= 0
     np.testing.assert_array_equal(made_map.points.n_observations[ids], np.where(has_right, 2, 1))
     np.testing.assert_array_equal(made_map.points.descriptors[ids], world.descriptors[numbers])
-    assert np.all(made_map.points.first_keyframe[ids] == 0)
+    assert np.all(made_map.points.first_keyframe[ids] == 1)
+
+
+def test_the_first_keyframe_makes_all_it_can(view: tuple[SmallWorld, Frame, np.ndarray]) -> None:
+    _, frame, _ = view
+    is_static = np.random.default_rng(0).random(len(frame)) < 0.6
+    _, _, is_made = made(frame, is_static, first=True)
+    depth_m = frame.keypoints.depth_m
+    assert np.count_nonzero(is_static & (depth_m > CLOSE_M)) > 20
+    np.testing.assert_array_equal(is_made, is_static & (depth_m > 0))
 
 
 def test_where_little_is_close_the_nearest_hundred_are_made() -> None:
@@ -84,9 +97,9 @@ def test_keypoints_that_see_a_point_make_no_second_one_but_count(
     frame = replace(frame, keypoints=replace(frame.keypoints, depth_m=far_m))
     world, ids, is_made = made(frame)  # nothing is close: the nearest hundred
     point_ids = np.full(len(frame), -1, np.int32)
-    point_ids[np.flatnonzero(is_made)[:30]] = world.points_of(0)[np.flatnonzero(is_made)[:30]]
+    point_ids[np.flatnonzero(is_made)[:30]] = world.points_of(1)[np.flatnonzero(is_made)[:30]]
     again = tracked_frame(frame, point_ids)
-    keyframe = world.add_keyframe(frame, POSE, point_ids, frame.is_static, 0)
+    keyframe = world.add_keyframe(frame, POSE, point_ids, frame.is_static, 1)
     new = from_depth(keyframe, again, CLOSE_M, world)
     assert (len(ids), len(new)) == (MIN_NEAREST, MIN_NEAREST - 30)
     np.testing.assert_array_equal(world.points_of(keyframe) >= 0, is_made)

@@ -7,13 +7,14 @@ from pathlib import Path
 import pytest
 
 from stillroom.config import SlamConfig, to_toml
-from stillroom.dynamics.epipolar import EpipolarConfig
+from stillroom.dynamics.clusters.sieve import ClusterSieveConfig
 from stillroom.dynamics.keep_all import KeepAllConfig
 from stillroom.dynamics.paper_epipolar import PaperEpipolarConfig
 from stillroom.errors import ConfigError
 from stillroom.methods import registry
 from stillroom.methods.method import Method
 from stillroom.methods.registry import all_methods, configure, method
+from stillroom.semantics.depth_clusters import DepthClustersConfig, NoClustersConfig
 from stillroom.semantics.nothing import NothingConfig
 from stillroom.semantics.yolo_fastest import YoloFastestConfig
 
@@ -31,11 +32,13 @@ def install(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
 def test_the_presets_are_rows_of_the_table() -> None:
     orb_slam2, oc_slam = method("orb-slam2").config, method("oc-slam").config
     assert (orb_slam2.semantics, orb_slam2.dynamics) == (NothingConfig(), KeepAllConfig())
-    assert (oc_slam.semantics, oc_slam.dynamics) == (YoloFastestConfig(), EpipolarConfig())
+    assert (oc_slam.semantics, oc_slam.dynamics) == (YoloFastestConfig(), ClusterSieveConfig())
+    assert (orb_slam2.clusters, oc_slam.clusters) == (NoClustersConfig(), DepthClustersConfig())
     assert isinstance(oc_slam.semantics, YoloFastestConfig)
     assert oc_slam.semantics.confidence == 0.80  # OC-SLAM 2.1
     # All else is ORB-SLAM2's.
-    assert replace(oc_slam, method="orb-slam2", semantics=NothingConfig(), dynamics=KeepAllConfig()) == orb_slam2
+    parts = {"semantics": NothingConfig(), "clusters": NoClustersConfig(), "dynamics": KeepAllConfig()}
+    assert replace(oc_slam, method="orb-slam2", **parts) == orb_slam2
 
 
 def test_a_preset_is_a_short_file() -> None:

@@ -10,12 +10,15 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import Any, Protocol
 
+from stillroom.dynamics.clusters.sieve import ClusterSieveConfig
 from stillroom.dynamics.epipolar import EpipolarConfig
 from stillroom.dynamics.keep_all import KeepAllConfig
 from stillroom.dynamics.paper_epipolar import PaperEpipolarConfig
 from stillroom.dynamics.whole_boxes import WholeBoxesConfig
 from stillroom.errors import ConfigError
-from stillroom.protocols import MatchSieve, Segmenter
+from stillroom.geometry.camera import Camera
+from stillroom.protocols import Clusterer, MatchSieve, Segmenter
+from stillroom.semantics.depth_clusters import DepthClustersConfig, NoClustersConfig
 from stillroom.semantics.mask_files import MaskFilesConfig
 from stillroom.semantics.nothing import NothingConfig
 from stillroom.semantics.truth import TruthConfig
@@ -30,6 +33,13 @@ class SegmenterConfig(Protocol):
 
     def build(self) -> Segmenter:
         """Return the segmenter."""
+
+
+class ClustererConfig(Protocol):
+    """The config of a part that takes the depth cloud of an image apart; a frozen dataclass."""
+
+    def build(self, camera: Camera, seed: int) -> Clusterer:
+        """Return the clusterer for a camera; all that it draws by lot comes from the seed."""
 
 
 class MatchSieveConfig(Protocol):
@@ -95,6 +105,8 @@ SEMANTICS = Kinds(
     },
 )
 
+CLUSTERS = Kinds("clusters", {"nothing": NoClustersConfig, "depth": DepthClustersConfig})
+
 DYNAMICS = Kinds(
     "dynamics",
     {
@@ -102,5 +114,6 @@ DYNAMICS = Kinds(
         "whole-boxes": WholeBoxesConfig,
         "paper-epipolar": PaperEpipolarConfig,
         "epipolar": EpipolarConfig,
+        "clusters": ClusterSieveConfig,
     },
 )

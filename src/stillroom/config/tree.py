@@ -5,10 +5,11 @@ Reading, writing and overriding it lives in `settings`; this page only says what
 
 from dataclasses import dataclass, field
 
-from stillroom.config.kinds import DYNAMICS, SEMANTICS, MatchSieveConfig, SegmenterConfig
+from stillroom.config.kinds import CLUSTERS, DYNAMICS, SEMANTICS, ClustererConfig, MatchSieveConfig, SegmenterConfig
 from stillroom.dynamics.keep_all import KeepAllConfig
 from stillroom.features.orb import OrbConfig
 from stillroom.mapping.local_mapper import LocalMapperConfig
+from stillroom.semantics.depth_clusters import NoClustersConfig
 from stillroom.semantics.nothing import NothingConfig
 from stillroom.tracking.keyframe_policy import KeyframePolicyConfig
 from stillroom.tracking.relocalizer import RelocalizerConfig
@@ -23,6 +24,7 @@ class SlamConfig:
         method: Name of the preset that it started from.
         seed: Where every random choice starts.
         semantics: What may move; `kind` chooses the part (see `kinds`).
+        clusters: What the depth cloud of an image falls into; `kind` chooses the part.
         dynamics: What does move (sieve 2); `kind` chooses the part.
         features: Keypoints.
         tracking, recovery, keyframes, mapping: ORB-SLAM2's parts.
@@ -31,6 +33,7 @@ class SlamConfig:
     method: str = "orb-slam2"
     seed: int = 0
     semantics: SegmenterConfig = field(default_factory=NothingConfig, metadata={"kinds": SEMANTICS})
+    clusters: ClustererConfig = field(default_factory=NoClustersConfig, metadata={"kinds": CLUSTERS})
     dynamics: MatchSieveConfig = field(default_factory=KeepAllConfig, metadata={"kinds": DYNAMICS})
     features: OrbConfig = field(default_factory=OrbConfig)
     tracking: TrackerConfig = field(default_factory=TrackerConfig)

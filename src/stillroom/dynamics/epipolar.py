@@ -57,7 +57,7 @@ class EpipolarSieve:
     def __init__(self, config: EpipolarConfig) -> None:
         """Start without a past."""
         self.config = config
-        self._history = DepthHistory(config.history)
+        self.history = DepthHistory(config.history)
 
     def judge(
         self,
@@ -71,19 +71,25 @@ class EpipolarSieve:
         """Judge every keypoint in a box by depth, and the matched ones by their epipolar lines too."""
         if stage is Stage.RELOCALIZATION:
             return Motion.none(len(frame), frame.image.height, frame.image.width)
-        movable = semantics.result()
-        inside = movable.movable_at(frame.keypoints.raw_px)
+        motion = self.verdict(stage, frame, matches, semantics.result(), T_cam_world, world)
+        if stage is Stage.LOCAL_MAP:
+            self.history.remember(frame, T_cam_world)
+        stay = int(np.count_nonzero(motion.is_static[matches.keypoint]))
+        if stay < self.config.min_matches <= len(matches):
+            return Motion.none(len(frame), frame.image.height, frame.image.width)
+        return motion
+
+    def verdict(
+        self, stage: Stage, frame: Frame, matches: Matches, known: Semantics, T_cam_world: F64, world: Map
+    ) -> Motion:
+        """Return what `judge` thinks before it asks whether enough matches would stay; nothing is remembered."""
+        inside = known.movable_at(frame.keypoints.raw_px)
         is_static = ~inside
         is_static[inside] = self._was_there_before(frame, np.flatnonzero(inside), T_cam_world)
         off_line = inside[matches.keypoint]
-        off_line[off_line] = self._is_off_its_line(stage, frame, matches.keep(off_line), T_cam_world, world)
+        off_line[off_line] = self.is_off_its_line(stage, frame, matches.keep(off_line), T_cam_world, world)
         is_static[matches.keypoint[off_line]] = False
-        if stage is Stage.LOCAL_MAP:
-            self._history.remember(frame, T_cam_world)
-        stay = int(np.count_nonzero(is_static[matches.keypoint]))
-        if stay < self.config.min_matches <= len(matches):
-            return Motion.none(len(frame), frame.image.height, frame.image.width)
-        return Motion(is_static, movable.movable)
+        return Motion(is_static, known.movable)
 
     def _was_there_before(self, frame: Frame, keypoint: I64, T_cam_world: F64) -> Bool:
         """Tell which keypoints (K,) lie on a surface that earlier depth images show at the same place."""
@@ -91,11 +97,11 @@ class EpipolarSieve:
         depth_m = kp.depth_m[keypoint]
         points_cam = frame.camera.back_project(kp.px[keypoint], depth_m)
         points_world = se3.transform(se3.inverse(T_cam_world), points_cam)
-        evidence = self._history.evidence(frame.camera, points_world, frame.timestamp_s)
+        evidence = self.history.evidence(frame.camera, points_world, frame.timestamp_s)
         shown: Bool = (depth_m > 0) & (evidence.agrees >= self.config.min_agreeing) & (evidence.empty == 0)
         return shown
 
-    def _is_off_its_line(self, stage: Stage, frame: Frame, matches: Matches, T_cam_world: F64, world: Map) -> Bool:
+    def is_off_its_line(self, stage: Stage, frame: Frame, matches: Matches, T_cam_world: F64, world: Map) -> Bool:
         """Tell which matches (M,) lie too far from the epipolar line of where their point was first seen."""
         place, rows = world.observations(matches.point_id)
         oldest = rows[np.flatnonzero(np.diff(place, append=len(matches)))]

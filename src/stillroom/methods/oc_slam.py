@@ -1,18 +1,25 @@
-"""OC-SLAM: YOLO-Fastest's boxes, and in them an epipolar constraint on the matches.
+"""OC-SLAM: YOLO-Fastest's boxes and the clusters of the depth cloud, and what of them moves.
 
-Differs from the paper: the constraint is taken from the tracked pose and helped by depth, and what lies in a box counts
-as moving until shown to be static (`dynamics/epipolar.py` says why). The paper's literal rule is
-`--set dynamics.kind=paper-epipolar`. Clusters of the depth cloud and the dense map are not there yet.
+Differs from the paper: epipolar lines are taken from the tracked pose and helped by depth, what lies in a box counts as
+moving until shown to be static (`dynamics/epipolar.py`), and a cluster is judged by depth as well as by its matches,
+over more than one image (`dynamics/clusters/sieve.py`). The paper's literal rule is
+`--set dynamics.kind=paper-epipolar`; boxes without clusters are `--set clusters.kind=nothing`.
 """
 
 from stillroom.config import SlamConfig
-from stillroom.dynamics.epipolar import EpipolarConfig
+from stillroom.dynamics.clusters.sieve import ClusterSieveConfig
 from stillroom.methods.method import Method
+from stillroom.semantics.depth_clusters import DepthClustersConfig
 from stillroom.semantics.yolo_fastest import YoloFastestConfig
 
 METHOD = Method(
     name="oc-slam",
-    summary="YOLO-Fastest boxes; in them, matches must keep to their epipolar lines and their depth",
-    config=SlamConfig(method="oc-slam", semantics=YoloFastestConfig(), dynamics=EpipolarConfig()),
+    summary="YOLO-Fastest boxes and depth clusters; what leaves its epipolar line, or stands where it was empty, goes",
+    config=SlamConfig(
+        method="oc-slam",
+        semantics=YoloFastestConfig(),
+        clusters=DepthClustersConfig(),
+        dynamics=ClusterSieveConfig(),
+    ),
     paper="Wu, Deng, Li and Li, Frontiers in Energy Research 9:803631, 2021",
 )

@@ -1,0 +1,154 @@
+"""OC-SLAM's combined mismatch rejection (2.5): boxes and clusters together say what moves."""
+
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+
+from stillroom.data.cloud.clusters import PLANE, UNKNOWN, Clusters
+from stillroom.data.frame import Frame
+from stillroom.data.map import Map
+from stillroom.data.matches import Matches
+from stillroom.data.motion import Motion, Stage
+from stillroom.data.semantics import Semantics
+from stillroom.dynamics.clusters.belief import Belief
+from stillroom.dynamics.clusters.samples import Sampler, Samples
+from stillroom.dynamics.epipolar import EpipolarConfig
+from stillroom.geometry import se3
+from stillroom.geometry.arrays import F64, U8, Bool
+from stillroom.protocols import Pending
+
+
+@dataclass(frozen=True)
+class ClusterSieveConfig:
+    """The sieve of the whole `oc-slam` preset (OC-SLAM 2.5).
+
+    A cluster has pairs: its matches, which fail when they leave their epipolar line or their map point's place, and
+    its points, which fail when earlier depth images saw through where they are now. More than half failing speaks for
+    motion, less than half against it; what is said of a cluster goes with it through the next images as log-odds.
+
+    Differs from the paper: depth pairs stand beside the matches, because a cluster that has just appeared has no
+    matches; one image does not decide alone; and a box is a reason for suspicion, no proof.
+
+    Attributes:
+        boxes: The sieve for what lies in boxes; its depth history serves the clusters too.
+        gain: What one image can add to the log-odds when all pairs say the same.
+        suspicion: What a box adds to the log-odds of a cluster that it covers.
+        limit: Largest log-odds: how much a cluster's past can weigh.
+        min_known_share: Share of a cluster's points that earlier images must know of before they count.
+        min_pairs: Matches that a cluster needs before they count.
+        max_step_m, max_step_share: A match fails when it lies farther than this, or this share of its depth, from its
+            map point.
+        fades_in_s: Time in which unsupported log-odds fall to 1/e.
+        reach_m: How far a cluster may move in depth between two images.
+        margin_px: What lies this close to a moving cluster and on no plane or other cluster moves too.
+    """
+
+    boxes: EpipolarConfig = field(default_factory=EpipolarConfig)
+    gain: float = 1.5
+    suspicion: float = 0.5
+    limit: float = 4.0
+    min_known_share: float = 0.2
+    min_pairs: int = 5
+    max_step_m: float = 0.06
+    max_step_share: float = 0.03
+    fades_in_s: float = 2.0
+    reach_m: float = 0.3
+    margin_px: int = 8
+
+    def build(self, seed: int = 0) -> "ClusterSieve":
+        """Return the sieve."""
+        return ClusterSieve(self, seed)
+
+
+class ClusterSieve:
+    """Sieve 2 of the whole `oc-slam`."""
+
+    def __init__(self, config: ClusterSieveConfig, seed: int = 0) -> None:
+        """Start without a past."""
+        self.config = config
+        self._boxes = config.boxes.build(seed)
+        self._sampler = Sampler()
+        self._belief = Belief(config.fades_in_s, config.reach_m)
+
+    def judge(
+        self,
+        stage: Stage,
+        frame: Frame,
+        matches: Matches,
+        semantics: Pending[Semantics],
+        T_cam_world: F64,
+        world: Map,
+    ) -> Motion:
+        """Judge boxes and clusters, and every keypoint by what it lies on."""
+        nothing_moves = Motion.none(len(frame), frame.image.height, frame.image.width)
+        if stage is Stage.RELOCALIZATION:
+            return nothing_moves
+        known = semantics.result()
+        motion = self._boxes.verdict(stage, frame, matches, known, T_cam_world, world)
+        clusters = known.clusters
+        if clusters is not None:
+            samples = self._sampler.take(frame, clusters)
+            belief = self._believe(frame, matches, clusters, samples, T_cam_world, world)
+            moving = _moving_pixels(clusters, belief > 0, self.config.margin_px)
+            column, row = np.rint(frame.keypoints.raw_px).astype(np.int64).T
+            is_static = motion.is_static & ~moving[row, column]
+            # In a box all moves but planes, which the person stands before.
+            motion = Motion(is_static, moving | (known.movable & (clusters.labels != PLANE)))
+            if stage is Stage.LOCAL_MAP:
+                self._belief.remember(frame, clusters, belief, T_cam_world)
+        if stage is Stage.LOCAL_MAP:
+            self._boxes.history.remember(frame, T_cam_world)
+        stay = int(np.count_nonzero(motion.is_static[matches.keypoint]))
+        return nothing_moves if stay < self.config.boxes.min_matches <= len(matches) else motion
+
+    def _believe(
+        self, frame: Frame, matches: Matches, clusters: Clusters, samples: Samples, T_cam_world: F64, world: Map
+    ) -> F64:
+        """Return the log-odds (K,) that each cluster moves."""
+        config = self.config
+        inherited = self._belief.of(samples, len(clusters), T_cam_world, frame.camera, frame.timestamp_s)
+        failing = 2.0 * self._failing_points(frame, clusters, samples, T_cam_world) - 1.0
+        failing += np.maximum(0.0, 2.0 * self._failing_pairs(frame, matches, clusters, T_cam_world, world) - 1.0)
+        belief = inherited + config.gain * failing + config.suspicion * (clusters.box >= 0)
+        return np.asarray(np.clip(belief, -config.limit, config.limit))
+
+    def _failing_points(self, frame: Frame, clusters: Clusters, samples: Samples, T_cam_world: F64) -> F64:
+        """Return the share (K,) of each cluster's points that lie where it was empty before; ½ where unknown."""
+        history = self._boxes.history
+        evidence = history.evidence(frame.camera, samples.in_world(T_cam_world), frame.timestamp_s)
+        fails = evidence.empty > 0
+        holds = ~fails & (evidence.agrees > 0)
+        n = len(clusters)
+        failing, holding = samples.count(n, fails), samples.count(n, holds)
+        judged = failing + holding >= np.maximum(4.0, self.config.min_known_share * samples.count(n))
+        return np.where(judged, failing / np.maximum(failing + holding, 1.0), 0.5)
+
+    def _failing_pairs(self, frame: Frame, matches: Matches, clusters: Clusters, T_cam_world: F64, world: Map) -> F64:
+        """Return the share (K,) of each cluster's matches that fail; ½ where there are too few."""
+        cluster = clusters.labels_at(frame.keypoints.raw_px[matches.keypoint]).astype(np.int64)
+        on = cluster >= 0
+        cluster, pairs = cluster[on], matches.keep(on)
+        if len(pairs) == 0:
+            return np.full(len(clusters), 0.5)
+        kp = frame.keypoints
+        depth_m = kp.depth_m[pairs.keypoint]
+        here_m = se3.transform(T_cam_world, world.points.position_m[pairs.point_id])
+        seen_m = frame.camera.back_project(kp.px[pairs.keypoint], depth_m)
+        step_m = np.maximum(self.config.max_step_m, self.config.max_step_share * depth_m)
+        fails = (depth_m > 0) & (np.linalg.norm(here_m - seen_m, axis=1) > step_m)
+        fails |= self._boxes.is_off_its_line(Stage.LOCAL_MAP, frame, pairs, T_cam_world, world)
+        n = np.bincount(cluster, minlength=len(clusters))
+        share = np.bincount(cluster, fails, minlength=len(clusters)) / np.maximum(n, 1)
+        return np.where(n >= self.config.min_pairs, share, 0.5)
+
+
+def _moving_pixels(clusters: Clusters, moves: Bool, margin_px: int) -> Bool:
+    """Return the pixels (H, W) of moving clusters (K,), and of what is unknown beside them."""
+    table = np.append(moves, (False, False))  # labels −1 and −2 read the last two
+    moving: U8 = table[clusters.labels].astype(np.uint8)
+    if not moving.any():
+        return moving.astype(np.bool_)
+    kernel = np.ones((2 * margin_px + 1, 2 * margin_px + 1), dtype=np.uint8)
+    near = cv2.dilate(moving, kernel).astype(np.bool_) & (clusters.labels == UNKNOWN)
+    return np.asarray(moving.astype(np.bool_) | near)

@@ -1,8 +1,11 @@
 """mesh.ply against surfaces that are known exactly."""
 
 import sys
+import time
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -203,3 +206,29 @@ def test_without_the_library_the_line_says_what_to_install(
 
 def _part(cloud: DenseCloud, kept: NDArray[np.bool_]) -> DenseCloud:
     return DenseCloud(cloud.positions_m[kept], cloud.normals[kept], cloud.rgb[kept], cloud.weight[kept], cloud.voxel_m)
+
+
+@pytest.mark.slow
+def test_a_million_points_take_seconds_and_little_more_memory_than_the_mesh(tmp_path: Path) -> None:
+    """A hall of 18 m by 18 m by 4 m; other processes may be busy, so it is this one's own time that counts."""
+    hall = Surfaces(density_per_m2=8000.0)
+    hall.rectangle((0, 0, 0), (18, 0, 0), (0, 18, 0)).rectangle((0, 0, 4), (0, 18, 0), (18, 0, 0))
+    hall.rectangle((0, 0, 0), (0, 0, 4), (18, 0, 0)).rectangle((0, 0, 0), (0, 18, 0), (0, 0, 4))
+    cloud = hall.cloud(VOXEL_M)
+    cloud = DenseCloud(*(np.concatenate((v, v)) for v in _arrays(cloud)), VOXEL_M)  # 2 floors of the same house
+    cloud.positions_m[len(cloud) // 2 :, 2] += 4.5
+    made(_part(cloud, np.arange(len(cloud)) < 1000))  # compiles
+    assert len(cloud) > 1_000_000
+    start_s = time.process_time()
+    tracemalloc.start()
+    mesh = made(cloud)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    mesh.write_ply(tmp_path / "mesh.ply")
+    assert time.process_time() - start_s < 60
+    assert peak < 600 * len(cloud)
+    assert area_in_m2(mesh, 0.1, 0.9) > 0
+
+
+def _arrays(cloud: DenseCloud) -> tuple[NDArray[Any], ...]:
+    return cloud.positions_m, cloud.normals, cloud.rgb, cloud.weight

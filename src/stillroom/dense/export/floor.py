@@ -17,8 +17,8 @@ N_POINTS, N_SAMPLES, N_TRIALS, N_ROUNDS = 100_000, 20_000, 200, 6
 """Points that the search looks at; normals that directions are the means of; directions tried; steps to the mean."""
 
 SAME_DIRECTION_DEG = 8.0
-LOWER_SHARE = 0.2
-"""A parallel plane below the best is the floor if it has this share of its area."""
+LOWER_M, LOWER_SHARE = 0.15, 0.2
+"""A parallel plane so far below the best is the floor if it has this share of its area."""
 
 
 @dataclass(frozen=True)
@@ -80,9 +80,9 @@ def find_floor(cloud: DenseCloud, config: FloorConfig) -> Floor:
     floor = whole.accepted(_lowest(candidates)) if candidates else None
     if floor is None:
         raise MapError(
-            "no floor found: no plane of at least "
-            f"{config.min_area_m2:g} m² within {config.max_tilt_deg:g}° of the first camera's upright lies below "
-            f"{100 * config.min_above:g} % of the map; was it seen? (occupancy.floor.* loosens this)"
+            f"no floor found: no plane of at least {config.min_area_m2:g} m² within {config.max_tilt_deg:g}° of the "
+            f"first camera's upright lies below {100 * config.min_above:g} % of the map; was it seen? "
+            "(occupancy.floor.max_tilt_deg, min_area_m2 and min_above loosen this)"
         )
     tilt_deg = float(np.degrees(np.arccos(np.clip(floor.plane[:3] @ CAMERA_UP, -1, 1))))
     return Floor(frame_on(floor.plane), floor.area_m2, tilt_deg, floor.above)
@@ -100,9 +100,10 @@ def frame_on(plane: F64) -> F64:
 
 @dataclass(frozen=True)
 class _Candidate:
-    """A plane (4,) that may be a floor, its area, and the share of points on or above it."""
+    """A plane (4,) that may be a floor, the middle of its points, its area, and the share of points on or above it."""
 
     plane: F64
+    center_m: F64
     area_m2: float
     above: float
 
@@ -113,16 +114,21 @@ class _Candidate:
 
 
 def _lowest(candidates: list[_Candidate]) -> _Candidate:
-    """Return the best, or what lies below it: where little floor is seen past a table, the table is larger."""
+    """Return the best, or what lies well below it: where little floor is seen past a table, the table is larger."""
     best = max(candidates, key=lambda candidate: candidate.score)
-    center = -best.plane[3] * best.plane[:3]
+
+    def depth_m(other: _Candidate) -> float:
+        """Height of the best plane's middle above another."""
+        return float(other.plane[:3] @ best.center_m + other.plane[3])
+
     below = [
         other
         for other in candidates
-        if other.plane[:3] @ best.plane[:3] > np.cos(np.radians(SAME_DIRECTION_DEG))
+        if depth_m(other) > LOWER_M
+        and other.plane[:3] @ best.plane[:3] > np.cos(np.radians(SAME_DIRECTION_DEG))
         and other.area_m2 >= LOWER_SHARE * best.area_m2
     ]
-    return max(below, key=lambda other: float(other.plane[:3] @ center + other.plane[3]))
+    return max(below, key=depth_m, default=best)
 
 
 class _Search:
@@ -192,12 +198,13 @@ class _Search:
 
     def _judged(self, plane: F64) -> _Candidate | None:
         """Return area and share of points above, where the plane may be a floor."""
-        area_m2 = float(np.count_nonzero(self._on(plane, self._tolerance_m))) * self._point_area_m2
+        on = self._on(plane, self._tolerance_m)
+        area_m2 = float(np.count_nonzero(on)) * self._point_area_m2
         above = float(np.mean(self._points @ plane[:3] + plane[3] >= -2.0 * self._tolerance_m))
         upright = float(plane[:3] @ CAMERA_UP) >= self._cos_tilt
         if area_m2 < self._config.min_area_m2 or above < self._config.min_above or not upright:
             return None
-        return _Candidate(plane, area_m2, above)
+        return _Candidate(plane, self._points[on].mean(axis=0), area_m2, above)
 
     def _on(self, plane: F64, reach_m: float) -> Bool:
         near = np.abs(self._points @ plane[:3] + plane[3]) <= reach_m

@@ -20,7 +20,7 @@ from stillroom.dense.export.signed_distance import (
     corner_position_m,
 )
 from stillroom.errors import MapError, MissingExtraError
-from stillroom.geometry.arrays import F32, F64, I64, U8, Bool, Floats
+from stillroom.geometry.arrays import F32, F64, I32, I64, U8, Bool, Floats
 
 LEAST_AGREEMENT = 0.2
 """Least cosine between a triangle's normal and that of the points near it; at the corners of a box it is 0.58."""
@@ -58,13 +58,13 @@ class Mesh:
         positions_m: Of the vertices (N, 3) float32 [m, world].
         normals: Unit normals of the vertices (N, 3) float32 [world]; zero where the points near disagree.
         rgb: Colours of the vertices (N, 3) uint8.
-        triangles: Vertex numbers (M, 3), counter-clockwise as seen from the side of the normals.
+        triangles: Vertex numbers (M, 3) int32, counter-clockwise as seen from the side of the normals.
     """
 
     positions_m: F32
     normals: F32
     rgb: U8
-    triangles: I64
+    triangles: I32
 
     def write_ply(self, path: Path) -> None:
         """Write it.
@@ -91,31 +91,22 @@ class Mesher:
         marching_cubes = _marching_cubes()
         cell_m = cloud.voxel_m * self._config.cell_voxels
         parts = []
-        n_before = 0
         for block in blocks(cloud, cell_m, self._config.max_weight, self._config.min_points):
-            part = self._surface(block, marching_cubes)
+            part = _surface(block, cell_m, marching_cubes)
             if part is not None:
-                corners, sums, triangles = part
-                parts.append((corners + block.first_cell, _on_border(corners), sums, triangles + n_before))
-                n_before += len(corners)
-        if not any(len(triangles) for *_, triangles in parts):
+                parts.append(part)
+        if not parts:
             raise MapError(f"the dense map's {len(cloud)} points are too sparse for a mesh of {cell_m:g} m cells")
-        corners, on_border, sums, triangles = (np.concatenate(column) for column in zip(*parts, strict=True))
-        return _assembled(corners, sums, _sewn(corners, on_border)[triangles], cell_m)
+        return _joined(parts)
 
-    def _surface(self, block: Block, marching_cubes: Any) -> tuple[F64, F32, I64] | None:
-        """Return a block's vertices (N, 3) [cells, from its first], their sums (N, 8) and its triangles (M, 3)."""
-        weight = block.sums[..., WEIGHT]
-        distance = np.asarray(block.sums[..., DISTANCE] / np.where(weight > 0, weight, 1), dtype=np.float32)
-        cuts = _is_cut(distance) & block.is_sampled
-        if not cuts.any():
-            return None
-        mask = np.zeros(distance.shape, dtype=bool)
-        mask[1:, 1:, 1:] = cuts  # The library's mask tells of a cell at its highest corner.
-        corners, triangles, _, _ = marching_cubes(distance, 0.0, gradient_direction="descent", mask=mask)
-        sums = _interpolated(block.sums, corners)
-        kept = _agrees(corners, triangles, sums[:, NORMAL] / sums[:, WEIGHT, None])
-        return corners.astype(np.float64), sums, triangles[kept].astype(np.int64)
+
+@dataclass(frozen=True)
+class _Part:
+    """The mesh of a block, and which of its vertices lie on the block's faces: their numbers (K,) and places (K, 3)."""
+
+    mesh: Mesh
+    border: I64
+    border_corners: F64
 
 
 def _marching_cubes() -> Any:
@@ -124,6 +115,32 @@ def _marching_cubes() -> Any:
     except ImportError:
         raise MissingExtraError("scikit-image", "mesh") from None
     return marching_cubes
+
+
+def _surface(block: Block, cell_m: float, marching_cubes: Any) -> _Part | None:
+    """Return the mesh of a block, if there is a surface in it."""
+    weight = block.sums[..., WEIGHT]
+    distance = np.asarray(block.sums[..., DISTANCE] / np.where(weight > 0, weight, 1), dtype=np.float32)
+    cuts = _is_cut(distance) & block.is_sampled
+    if not cuts.any():
+        return None
+    mask = np.zeros(distance.shape, dtype=bool)
+    mask[1:, 1:, 1:] = cuts  # The library's mask tells of a cell at its highest corner.
+    corners, triangles, _, _ = marching_cubes(distance, 0.0, gradient_direction="descent", mask=mask)
+    sums = _interpolated(block.sums, corners)
+    kept = _agrees(corners, triangles, sums[:, NORMAL] / sums[:, WEIGHT, None])
+    if not kept.any():
+        return None
+    in_grid = corners.astype(np.float64) + block.first_cell
+    length = np.linalg.norm(sums[:, NORMAL], axis=1, keepdims=True)
+    mesh = Mesh(
+        corner_position_m(in_grid, cell_m).astype(np.float32),
+        np.asarray(sums[:, NORMAL] / np.where(length > 0, length, 1), dtype=np.float32),
+        np.clip(np.rint(sums[:, RGB] / sums[:, WEIGHT, None]), 0, 255).astype(np.uint8),
+        triangles[kept].astype(np.int32),
+    )
+    border = np.flatnonzero(((corners == 0) | (corners == BLOCK)).any(axis=1))
+    return _Part(mesh, border, in_grid[border])
 
 
 def _is_cut(distance: F32) -> Bool:
@@ -160,34 +177,24 @@ def _agrees(corners: F32, triangles: NDArray[Any], normals: Floats) -> Bool:
     return np.asarray((size < SLIVER) | (facing >= LEAST_AGREEMENT * size * np.linalg.norm(near, axis=1)), dtype=bool)
 
 
-def _on_border(corners: F64) -> Bool:
-    """Tell which vertices (N,) lie on the faces of their block."""
-    return np.asarray(((corners == 0) | (corners == BLOCK)).any(axis=1), dtype=bool)
-
-
-def _sewn(corners: F64, on_border: Bool) -> I64:
-    """Return for each vertex (N,) the first one at the same place: blocks meet in vertices that each of them has."""
-    number = np.arange(len(corners))
-    border = np.flatnonzero(on_border)
-    _, first, group = np.unique(corners[border], axis=0, return_index=True, return_inverse=True)
+def _joined(parts: list[_Part]) -> Mesh:
+    """Return one mesh: blocks meet in vertices that each of them has, at the very same places."""
+    starts = np.cumsum([0, *(len(part.mesh.positions_m) for part in parts)])
+    number = np.arange(starts[-1], dtype=np.int32)
+    border = np.concatenate([part.border + start for part, start in zip(parts, starts[:-1], strict=True)])
+    places = np.concatenate([part.border_corners for part in parts])
+    _, first, group = np.unique(places, axis=0, return_index=True, return_inverse=True)
     number[border] = border[first[group.ravel()]]
-    return number
-
-
-def _assembled(corners: F64, sums: F32, triangles: I64, cell_m: float) -> Mesh:
-    """Return the mesh of the vertices that triangles use."""
+    triangles = np.concatenate(
+        [number[part.mesh.triangles + start] for part, start in zip(parts, starts, strict=False)]
+    )
     a, b, c = triangles.T
     triangles = triangles[(a != b) & (b != c) & (c != a)]
-    is_used = np.zeros(len(corners), dtype=bool)
+    is_used = np.zeros(len(number), dtype=bool)
     is_used[triangles] = True
-    used = np.flatnonzero(is_used)
-    renumbered = np.cumsum(is_used) - 1
-    normals = sums[used, NORMAL]
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
-    rgb = np.rint(sums[used, RGB] / sums[used, WEIGHT][:, None])
-    return Mesh(
-        corner_position_m(corners[used], cell_m).astype(np.float32),
-        np.asarray(normals / np.where(length > 0, length, 1), dtype=np.float32),
-        np.clip(rgb, 0, 255).astype(np.uint8),
-        renumbered[triangles],
-    )
+    renumbered = np.cumsum(is_used, dtype=np.int32) - 1
+
+    def column(name: str) -> NDArray[Any]:
+        return np.concatenate([getattr(part.mesh, name) for part in parts])[is_used]
+
+    return Mesh(column("positions_m"), column("normals"), column("rgb"), renumbered[triangles])

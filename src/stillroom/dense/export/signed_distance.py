@@ -105,7 +105,9 @@ def _members(cells: I64) -> Iterator[tuple[I64, I64]]:
     at_border = np.flatnonzero(((within < REACH) | (within >= BLOCK - REACH)).any(axis=1))
     found = [own * len(cells) + np.arange(len(cells))]
     for shift in product((-REACH, 0, REACH), repeat=3):
-        found.append(number(cells[at_border] + np.array(shift)) * len(cells) + at_border)
+        other = number(cells[at_border] + np.array(shift))
+        differs = other != own[at_border]
+        found.append(other[differs] * len(cells) + at_border[differs])
     pairs = np.sort(np.concatenate(found))  # np.unique would take five times as long over them
     in_block, member = np.divmod(pairs[np.r_[True, pairs[1:] != pairs[:-1]]], len(cells))
     starts = np.flatnonzero(np.r_[True, in_block[1:] != in_block[:-1]])

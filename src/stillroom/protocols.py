@@ -8,6 +8,7 @@ socket               question it answers                                        
 `Clusterer`          what does the depth cloud of this image fall into?           `semantics`
 `KeypointSieve`      which keypoints may tracking use? (sieve 1)                  `dynamics`
 `MatchSieve`         which matches, and which of the image, do move? (sieve 2)    `dynamics`
+`DenseMapping`       what does the room look like without what moves? (sieve 3)   `dense`
 `FeatureExtractor`   where are the corners, and what do they look like?           `features`
 `Schedule`           when, and on which thread, does a piece of work run?         `schedule.py`
 `RunObserver`        who looks on while frames are tracked?                       `viz`, `cli`
@@ -19,6 +20,7 @@ The sockets are structural: nothing inherits from them. `stillroom.testing` hold
 from collections.abc import Callable
 from typing import ParamSpec, Protocol, TypeVar
 
+from stillroom.data.cloud.dense_cloud import DenseCloud
 from stillroom.data.frame import Frame
 from stillroom.data.image import RgbdImage
 from stillroom.data.map import Map
@@ -27,7 +29,7 @@ from stillroom.data.motion import Motion, Stage
 from stillroom.data.result import FrameResult, Tracked
 from stillroom.data.semantics import Semantics
 from stillroom.data.trajectory import Trajectory
-from stillroom.geometry.arrays import F64
+from stillroom.geometry.arrays import F64, Bool
 from stillroom.geometry.camera import Camera
 
 P = ParamSpec("P")
@@ -136,6 +138,34 @@ class MatchSieve(Protocol):
             T_cam_world: The best guess of the present pose (4, 4) at this stage.
             world: The map.
         """
+
+
+class DenseMapping(Protocol):
+    """Makes a dense map; sieve 3: what moves stays out of it, and what has moved is taken out again."""
+
+    def integrate(self, keyframe: int, image: RgbdImage, excluded: Bool | None = None) -> None:
+        """Fuse a new keyframe.
+
+        Args:
+            keyframe: Its id in the map, which knows where it is.
+            image: Its image.
+            excluded: Pixels that move (H, W).
+        """
+
+    def carve(self, image: RgbdImage, T_world_cam: F64, excluded: Bool | None = None) -> None:
+        """Let a frame that is no keyframe tell what is free.
+
+        Args:
+            image: Its image.
+            T_world_cam: Its pose (4, 4).
+            excluded: Pixels that move (H, W).
+        """
+
+    def refresh(self) -> None:
+        """Follow the keyframes to where they are now."""
+
+    def cloud(self) -> DenseCloud | None:
+        """Return the map as known now; None where none is made."""
 
 
 class RunObserver(Protocol):

@@ -17,7 +17,16 @@ from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64
 from stillroom.geometry.camera import Camera
 from stillroom.mapping.local_mapper import LocalMapper
-from stillroom.protocols import Clusterer, FeatureExtractor, KeypointSieve, Pending, RunObserver, Schedule, Segmenter
+from stillroom.protocols import (
+    Clusterer,
+    DenseMapping,
+    FeatureExtractor,
+    KeypointSieve,
+    Pending,
+    RunObserver,
+    Schedule,
+    Segmenter,
+)
 from stillroom.schedule import InOrder
 from stillroom.tracking.keyframe_policy import KeyframePolicy
 from stillroom.tracking.relocalizer import Relocalizer
@@ -38,6 +47,7 @@ class Slam:
     recovery: Relocalizer
     keyframe_policy: KeyframePolicy
     mapper: LocalMapper
+    dense_mapper: DenseMapping
     map: Map
     observer: RunObserver
     results: list[FrameResult] = field(default_factory=list)
@@ -55,6 +65,7 @@ class Slam:
         if self.keyframe_policy.wants(tracked, self.map):
             keyframe = self.mapper.insert(tracked)  # now: points from depth, from static keypoints only
             self.schedule.submit(self.mapper.refine, keyframe)  # later: triangulate, fuse, adjust, cull
+        self._map_densely(tracked, keyframe)
         return self._conclude(tracked, semantics, keyframe)
 
     def trajectory(self) -> Trajectory:
@@ -80,6 +91,14 @@ class Slam:
     def close(self) -> None:
         """Finish the work that is still under way."""
         self.schedule.close()
+
+    def _map_densely(self, tracked: Tracked, keyframe: int) -> None:
+        """Hand the frame to the dense map (sieve 3): keyframes are fused, the others tell what is free."""
+        image, moving = tracked.frame.image, tracked.motion.moving
+        if keyframe >= 0:
+            self.schedule.submit(self.dense_mapper.integrate, keyframe, image, moving)
+        elif tracked.T_world_cam is not None:
+            self.schedule.submit(self.dense_mapper.carve, image, tracked.T_world_cam, moving)
 
     def _conclude(self, tracked: Tracked, semantics: Pending[Semantics], keyframe: int) -> FrameResult:
         """Let the tracker remember the frame, mapping included, and note what is worth keeping of it."""
@@ -154,6 +173,7 @@ def build(
         recovery=timed_part(recovery, clock, recover="recovery"),
         keyframe_policy=config.keyframes.build(),
         mapper=timed_part(config.mapping.build(camera, world), clock, insert="keyframe", refine="mapping"),
+        dense_mapper=timed_part(config.dense.build(camera, world), clock, integrate="dense", carve="carving"),
         map=world,
         observer=observer or Nothing(),
     )

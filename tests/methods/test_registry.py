@@ -7,6 +7,8 @@ from pathlib import Path
 import pytest
 
 from stillroom.config import SlamConfig, to_toml
+from stillroom.dense.dense_mapper import DenseMapperConfig
+from stillroom.dense.nothing import NoDenseMapConfig
 from stillroom.dynamics.clusters.sieve import ClusterSieveConfig
 from stillroom.dynamics.keep_all import KeepAllConfig
 from stillroom.dynamics.paper_epipolar import PaperEpipolarConfig
@@ -37,8 +39,9 @@ def test_the_presets_are_rows_of_the_table() -> None:
     assert isinstance(oc_slam.semantics, YoloFastestConfig)
     assert oc_slam.semantics.confidence == 0.80  # OC-SLAM 2.1
     # All else is ORB-SLAM2's.
-    parts = {"semantics": NothingConfig(), "clusters": NoClustersConfig(), "dynamics": KeepAllConfig()}
-    assert replace(oc_slam, method="orb-slam2", **parts) == orb_slam2
+    assert (orb_slam2.dense, oc_slam.dense) == (NoDenseMapConfig(), DenseMapperConfig())
+    rest = {part: getattr(orb_slam2, part) for part in ("semantics", "clusters", "dynamics", "dense")}
+    assert replace(oc_slam, method="orb-slam2", **rest) == orb_slam2
 
 
 def test_a_preset_is_a_short_file() -> None:

@@ -9,6 +9,7 @@ from stillroom.data.cloud.dense_cloud import DenseCloud
 from stillroom.data.result import FrameResult, Tracked
 from stillroom.data.semantics import Semantics
 from stillroom.dense.dense_mapper import DenseMapper, DenseMapperConfig
+from stillroom.dense.nothing import NoDenseMapConfig
 from stillroom.errors import FrameError
 from stillroom.geometry.arrays import F64
 from stillroom.pipeline import SILENT, Progress
@@ -54,7 +55,7 @@ def dense_maps(
     cv2.setNumThreads(1)
     cv2.setRNGSeed(config.seed % 2**31)
     mapping = _Twins(mapped)
-    slam = build(config, dataset.camera, observer=mapping)
+    slam = build(replace(config, dense=NoDenseMapConfig()), dataset.camera, observer=mapping)
     for name, removal in ((WITH_REMOVAL, True), (WITHOUT_REMOVAL, False)):
         one = replace(dense, carving=replace(dense.carving, removal=removal))
         mapping.mappers[name] = one.build(dataset.camera, slam.map)

@@ -92,7 +92,7 @@ def ghosts(dataset: Dataset, name: str, config: SlamConfig, chosen: Stretches, p
         KeyboardInterrupt: The user stopped it.
         StillroomError: Something that the run needs is wrong, or nothing was tracked that could be judged.
     """
-    made = dense_maps(select(dataset, f":{chosen.mapped.stop}"), config, DenseMapperConfig(), chosen.mapped, progress)
+    made = dense_maps(select(dataset, f":{chosen.mapped.stop}"), config, _dense_map_of(config), chosen.mapped, progress)
     judge: RealJudge | TruthJudge
     if chosen.reference is not None:
         judge = RealJudge(dataset, made.T_world_cam, chosen.reference, chosen.mapped)
@@ -102,6 +102,10 @@ def ghosts(dataset: Dataset, name: str, config: SlamConfig, chosen: Stretches, p
     maps = tuple(judge.judge(which, cloud.positions_m) for which, cloud in made.clouds.items())
     coverage = len(made.T_world_cam) / made.n_given
     return Ghosts(dataset.name, name, chosen, coverage, maps, tuple(judge.sentences()))
+
+
+def _dense_map_of(config: SlamConfig) -> DenseMapperConfig:
+    return config.dense if isinstance(config.dense, DenseMapperConfig) else DenseMapperConfig()
 
 
 def stretches(dataset: Dataset, reference: str | None = None, mapped: str | None = None) -> Stretches:

@@ -10,6 +10,9 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import Any, Protocol
 
+from stillroom.data.map import Map
+from stillroom.dense.dense_mapper import DenseMapperConfig
+from stillroom.dense.nothing import NoDenseMapConfig
 from stillroom.dynamics.clusters.sieve import ClusterSieveConfig
 from stillroom.dynamics.epipolar import EpipolarConfig
 from stillroom.dynamics.keep_all import KeepAllConfig
@@ -17,7 +20,7 @@ from stillroom.dynamics.paper_epipolar import PaperEpipolarConfig
 from stillroom.dynamics.whole_boxes import WholeBoxesConfig
 from stillroom.errors import ConfigError
 from stillroom.geometry.camera import Camera
-from stillroom.protocols import Clusterer, MatchSieve, Segmenter
+from stillroom.protocols import Clusterer, DenseMapping, MatchSieve, Segmenter
 from stillroom.semantics.depth_clusters import DepthClustersConfig, NoClustersConfig
 from stillroom.semantics.mask_files import MaskFilesConfig
 from stillroom.semantics.nothing import NothingConfig
@@ -40,6 +43,13 @@ class ClustererConfig(Protocol):
 
     def build(self, camera: Camera, seed: int) -> Clusterer:
         """Return the clusterer for a camera; all that it draws by lot comes from the seed."""
+
+
+class DenseMappingConfig(Protocol):
+    """The config of a part that makes a dense map; a frozen dataclass."""
+
+    def build(self, camera: Camera, world: Map) -> DenseMapping:
+        """Return the dense map of a map's keyframes."""
 
 
 class MatchSieveConfig(Protocol):
@@ -106,6 +116,8 @@ SEMANTICS = Kinds(
 )
 
 CLUSTERS = Kinds("clusters", {"nothing": NoClustersConfig, "depth": DepthClustersConfig})
+
+DENSE = Kinds("dense", {"nothing": NoDenseMapConfig, "voxels": DenseMapperConfig})
 
 DYNAMICS = Kinds(
     "dynamics",

@@ -5,7 +5,17 @@ Reading, writing and overriding it lives in `settings`; this page only says what
 
 from dataclasses import dataclass, field
 
-from stillroom.config.kinds import CLUSTERS, DYNAMICS, SEMANTICS, ClustererConfig, MatchSieveConfig, SegmenterConfig
+from stillroom.config.kinds import (
+    CLUSTERS,
+    DENSE,
+    DYNAMICS,
+    SEMANTICS,
+    ClustererConfig,
+    DenseMappingConfig,
+    MatchSieveConfig,
+    SegmenterConfig,
+)
+from stillroom.dense.nothing import NoDenseMapConfig
 from stillroom.dynamics.keep_all import KeepAllConfig
 from stillroom.features.orb import OrbConfig
 from stillroom.mapping.local_mapper import LocalMapperConfig
@@ -28,6 +38,7 @@ class SlamConfig:
         dynamics: What does move (sieve 2); `kind` chooses the part.
         features: Keypoints.
         tracking, recovery, keyframes, mapping: ORB-SLAM2's parts.
+        dense: The dense map (sieve 3); `kind` chooses the part.
     """
 
     method: str = "orb-slam2"
@@ -40,3 +51,4 @@ class SlamConfig:
     recovery: RelocalizerConfig = field(default_factory=RelocalizerConfig)
     keyframes: KeyframePolicyConfig = field(default_factory=KeyframePolicyConfig)
     mapping: LocalMapperConfig = field(default_factory=LocalMapperConfig)
+    dense: DenseMappingConfig = field(default_factory=NoDenseMapConfig, metadata={"kinds": DENSE})

@@ -7,6 +7,7 @@ over more than one image (`dynamics/clusters/sieve.py`). The paper's literal rul
 """
 
 from stillroom.config import SlamConfig
+from stillroom.dense.dense_mapper import DenseMapperConfig
 from stillroom.dynamics.clusters.sieve import ClusterSieveConfig
 from stillroom.methods.method import Method
 from stillroom.semantics.depth_clusters import DepthClustersConfig
@@ -20,6 +21,7 @@ METHOD = Method(
         semantics=YoloFastestConfig(),
         clusters=DepthClustersConfig(),
         dynamics=ClusterSieveConfig(),
+        dense=DenseMapperConfig(),
     ),
     paper="Wu, Deng, Li and Li, Frontiers in Energy Research 9:803631, 2021",
 )

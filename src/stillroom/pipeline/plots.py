@@ -1,12 +1,19 @@
-"""The pictures of an evaluation."""
+"""The pictures of a run: its evaluation, and its maps."""
 
 from collections.abc import Mapping
 from pathlib import Path
 
+from stillroom.data.cloud.dense_cloud import DenseCloud
 from stillroom.data.trajectory import Trajectory
 from stillroom.evaluation.ate import ate
+from stillroom.system import Slam
+from stillroom.viz.cloud.render import CloudRendererConfig
+from stillroom.viz.cloud.view import default_view
+from stillroom.viz.png import write_png
+from stillroom.viz.sparse_map import draw_sparse_map
 from stillroom.viz.trajectory_plots import plot_error, plot_from_above, plot_over_time
 
+SPARSE_MAP, DENSE_MAP = "sparse_map.png", "dense_map.png"
 ABOVE, OVER_TIME, ERROR = "trajectory_above.png", "trajectory_over_time.png", "error.png"
 
 
@@ -36,3 +43,19 @@ def draw_plots(
     errors = {name: (error.groundtruth.timestamps_s, error.errors_m) for name, error in compared.items()}
     plot_error(folder / ERROR, errors, judged.still_camera_m, title)
     return folder / ABOVE, folder / OVER_TIME, folder / ERROR
+
+
+def draw_maps(folder: Path, slam: Slam, cloud: DenseCloud | None, title: str) -> None:
+    """Draw the sparse map, and the dense one where there is one; nothing before there is a keyframe.
+
+    Raises:
+        StillroomError: A file cannot be written.
+    """
+    keyframes = slam.map.keyframes.T_world_cam[slam.map.alive_keyframes()]
+    if len(keyframes) == 0:
+        return
+    points = slam.map.points
+    draw_sparse_map(folder / SPARSE_MAP, points.position_m[points.is_alive], keyframes, slam.trajectory(), title=title)
+    if cloud is not None and len(cloud):
+        view = default_view(cloud, keyframes)
+        write_png(folder / DENSE_MAP, CloudRendererConfig().build().render(cloud, view))

@@ -10,7 +10,9 @@ timing.csv               what each stage cost in each frame
 groundtruth.tum          true poses as the data set gives them, where it does
 groundtruth_camera.tum   the same moved to the camera, where the given ones are another body's
 metrics.json             the figures
-pictures/                trajectories, errors, and frames with their verdicts
+dense_cloud.npz          the dense map, where one is made; `stillroom export` makes other files of it
+cloud.ply                its points, for a viewer
+pictures/                trajectories, errors, maps, and frames with their verdicts
 =======================  =========================================================================
 """
 
@@ -25,9 +27,13 @@ from typing import Any
 import numpy as np
 
 from stillroom.config import SlamConfig, to_toml
+from stillroom.data.cloud.dense_cloud import DenseCloud
 from stillroom.data.result import FrameResult
 from stillroom.data.trajectory import Trajectory, read_tum
 from stillroom.datasets.bonn import CAMERA, MARKER, camera_groundtruth
+from stillroom.dense.export.cloud_file import NAME as DENSE
+from stillroom.dense.export.cloud_file import save_cloud
+from stillroom.dense.export.ply import write_point_ply
 from stillroom.errors import StillroomError
 from stillroom.evaluation.metrics_json import to_json
 from stillroom.evaluation.report import Evaluation
@@ -40,6 +46,7 @@ from stillroom.protocols import Dataset
 CONFIG = "config.toml"
 FINAL, ONLINE, KEYFRAMES = "trajectory.tum", "trajectory_online.tum", "keyframes.tum"
 FRAMES, TIMING, METRICS, PICTURES = "frames.csv", "timing.csv", "metrics.json", "pictures"
+CLOUD = "cloud.ply"
 TRUTH, TRUTH_CAMERA = "groundtruth.tum", "groundtruth_camera.tum"
 UNREADABLE = "unreadable"
 
@@ -105,6 +112,12 @@ def write_results(folder: Path, outcome: RunOutcome, truth: Truth | None) -> Non
         if truth is not None:
             truth.write(folder)
     write_metrics(folder, outcome.n_tracked, outcome.n_given, outcome.evaluation, _run_figures(outcome))
+
+
+def write_dense_map(folder: Path, cloud: DenseCloud) -> None:
+    """Write the dense map, for `stillroom export` and for a viewer."""
+    save_cloud(cloud, folder / DENSE)
+    write_point_ply(cloud, folder / CLOUD)
 
 
 def write_metrics(

@@ -18,7 +18,7 @@ from stillroom.pipeline import folders, results
 from stillroom.pipeline.evaluating import evaluate_trajectory
 from stillroom.pipeline.options import RunOptions
 from stillroom.pipeline.outcome import RunOutcome
-from stillroom.pipeline.plots import draw_plots
+from stillroom.pipeline.plots import draw_maps, draw_plots
 from stillroom.pipeline.progress import SILENT, Progress, Remarks
 from stillroom.pipeline.stop_request import StopRequest
 from stillroom.protocols import Dataset, RunObserver
@@ -133,8 +133,14 @@ def _conclude(outcome: RunOutcome, dataset: Dataset, with_plots: bool) -> None:
     if folder is None:
         return
     results.write_results(folder, outcome, truth)
+    outcome.slam.dense_mapper.refresh()
+    cloud = outcome.slam.dense_mapper.cloud()
+    if cloud is not None:
+        results.write_dense_map(folder, cloud)
+    title = f"{outcome.method} on {dataset.name}"
+    if with_plots:
+        draw_maps(folder / results.PICTURES, outcome.slam, cloud, title)
     if with_plots and truth is not None and outcome.evaluation is not None:
-        title = f"{outcome.method} on {dataset.name}"
         draw_plots(folder / results.PICTURES, {outcome.method: trajectory}, truth.as_given, title)
     outcome.pictures = tuple(sorted((folder / results.PICTURES).glob("*.png")))
 

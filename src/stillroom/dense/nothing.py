@@ -1,0 +1,35 @@
+"""The dense map of systems that make none."""
+
+from dataclasses import dataclass
+
+from stillroom.data.cloud.dense_cloud import DenseCloud
+from stillroom.data.image import RgbdImage
+from stillroom.data.map import Map
+from stillroom.geometry.arrays import F64, Bool
+from stillroom.geometry.camera import Camera
+
+
+@dataclass(frozen=True)
+class NoDenseMapConfig:
+    """There is nothing to choose."""
+
+    def build(self, camera: Camera, world: Map) -> "NoDenseMap":
+        """Return the dense map that is none."""
+        return NoDenseMap()
+
+
+class NoDenseMap:
+    """Takes every frame and keeps nothing, so that no caller asks whether there is a dense map."""
+
+    def integrate(self, keyframe: int, image: RgbdImage, excluded: Bool | None = None) -> None:
+        """Do nothing."""
+
+    def carve(self, image: RgbdImage, T_world_cam: F64, excluded: Bool | None = None) -> None:
+        """Do nothing."""
+
+    def refresh(self) -> None:
+        """Do nothing."""
+
+    def cloud(self) -> DenseCloud | None:
+        """Return that there is none."""
+        return None

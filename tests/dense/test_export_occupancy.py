@@ -205,12 +205,29 @@ def test_walls_larger_than_the_floor_and_a_ceiling_are_not_taken_for_it() -> Non
     assert floor.above > 0.999
 
 
-def test_a_table_larger_than_the_floor_around_it_is_not_the_floor() -> None:
-    desk = Surfaces(density_per_m2=6000.0).rectangle((0, 0, 0.7), (2, 0, 0), (0, 1.5, 0))
-    desk.rectangle((-0.5, -0.5, 0), (0.5, 0, 0), (0, 2.5, 0)).box((0.5, 0.5, 0.7), (0.9, 0.8, 1.1))
+@pytest.mark.parametrize(
+    ("table_m2", "floor_m2", "wall_m2"),
+    [(3.0, 1.25, 0.0), (6.0, 1.0, 0.0), (3.0, 0.7, 15.0)],
+    ids=["a desk", "much of the map lies below the table", "little does, but it is a fair part of the table"],
+)
+def test_a_table_larger_than_the_floor_seen_is_not_the_floor(table_m2: float, floor_m2: float, wall_m2: float) -> None:
+    desk = Surfaces(density_per_m2=8000.0).rectangle((0, 0, 0.7), (table_m2 / 1.5, 0, 0), (0, 1.5, 0))
+    desk.rectangle((-0.5, -0.5, 0), (0.5, 0, 0), (0, floor_m2 / 0.5, 0)).box((0.5, 0.5, 0.7), (0.9, 0.8, 1.1))
+    if wall_m2:
+        desk.rectangle((0, 1.5, 0.7), (wall_m2 / 2.5, 0, 0), (0, 0, 2.5))
     T_world_room = standing(30.0, 7)
     floor = find_floor(desk.cloud(VOXEL_M, T_world_room), FloorConfig())
     assert abs((floor.T_map_world @ T_world_room)[2, 3]) < 0.01
+
+
+def test_the_foot_of_something_is_no_floor(tmp_path: Path) -> None:
+    """The side of a plinth, too low for an obstacle, beside floor that was not seen."""
+    plinth = Surfaces(density_per_m2=8000.0).rectangle((0, 0, 0), (2, 0, 0), (0, 2, 0))
+    plinth.rectangle((3, 0.5, 0), (0, 0, 0.08), (0, 1, 0))
+    T_world_room = standing(0.0, 3)
+    plan = drawn((plinth.cloud(VOXEL_M, T_world_room), T_world_room), tmp_path)
+    assert plan.at(1.0, 1.0) == "free"
+    assert {plan.at(3.0 + off_m, 1.0) for off_m in (-0.05, 0.0, 0.05)} == {"unknown"}
 
 
 def test_the_answer_does_not_hang_on_the_seed_and_repeats() -> None:

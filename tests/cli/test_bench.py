@@ -14,7 +14,7 @@ from stillroom.benchmark import trial as trials
 from stillroom.benchmark.accuracy import Accuracy
 from stillroom.benchmark.rejection import WHOLE_BOXES, Way, sentences, ways
 from stillroom.benchmark.speed import UnitMeter
-from stillroom.benchmark.trial import BoxedFrames, Trial, attempt
+from stillroom.benchmark.trial import FrameAverages, Trial, attempt
 from stillroom.cli.bench import app
 from stillroom.config import SlamConfig
 from stillroom.datasets.open import open_dataset
@@ -24,6 +24,7 @@ from stillroom.evaluation.report import evaluate
 from stillroom.evaluation.timing import StageClock
 from stillroom.methods.registry import configure, method
 from stillroom.pipeline import RunOptions, run
+from stillroom.semantics.depth_clusters import DepthClustersConfig, NoClustersConfig
 
 ROOM = "synthetic:walking"
 FRAMES = "100:124"
@@ -105,11 +106,13 @@ def test_rejection_prints_four_rows_and_counts_what_is_kept(tmp_path: Path) -> N
     assert f"it keeps {more:.1f} % more static keypoints" in result.stdout
 
 
-def test_the_four_ways_differ_in_the_sieve_alone() -> None:
+def test_the_four_ways_differ_in_the_sieve_and_the_clusters_it_asks_for() -> None:
     preset = method("oc-slam").config
     four = ways(preset)
     assert len({type(config.dynamics) for config in four.values()}) == 4
-    assert all(replace(config, dynamics=preset.dynamics) == preset for config in four.values())
+    for name, config in four.items():
+        assert isinstance(config.clusters, DepthClustersConfig if name == "the preset" else NoClustersConfig)
+        assert replace(config, dynamics=preset.dynamics, clusters=preset.clusters) == preset
 
 
 def test_speed_tells_stages_in_units(tmp_path: Path) -> None:
@@ -124,7 +127,8 @@ def test_speed_tells_stages_in_units(tmp_path: Path) -> None:
     assert frame["n_frames"] == row["n_frames"] == N_FRAMES
     assert row["units"] == pytest.approx(frame["cpu_mean_ms"] / row["unit_cpu_ms"])
     assert row["units_by_wall"] == pytest.approx(frame["wall_mean_ms"] / row["unit_wall_ms"])
-    parts_ms = sum(stages[name]["cpu_mean_ms"] for name in ("features", "tracking", "mapping", "semantics"))
+    names = ("features", "tracking", "mapping", "semantics", "clusters", "dense", "carving")
+    parts_ms = sum(stages[name]["cpu_mean_ms"] * stages[name]["n_frames"] / N_FRAMES for name in names)
     assert parts_ms <= frame["cpu_mean_ms"] < 1.5 * parts_ms
     assert 50 < row["peak_memory_mb"] < 8000
     assert f"oc-slam: {row['units']:.2f} units a frame" in result.stdout
@@ -156,8 +160,8 @@ def fabricated(seed: int, n_tracked: int, ate_scale: float | None, static: float
         poses = truth.T_world_cam.copy()
         poses[:, :3, 3] += ate_scale * noise
         evaluation = evaluate(replace(truth, T_world_cam=poses), truth, n_given=60)
-    boxed = BoxedFrames(10, 1000.0, static, 300.0)
-    return Trial(seed, 60, n_tracked, evaluation, boxed, StageClock())
+    boxed = FrameAverages(10, 1000.0, static, 300.0)
+    return Trial(seed, 60, n_tracked, evaluation, boxed, boxed, 0, StageClock())
 
 
 def test_a_row_tells_the_worst_coverage_and_the_gain_of_the_medians() -> None:
@@ -191,7 +195,7 @@ def test_the_verdict_says_higher_and_fewer_where_it_is_so() -> None:
 def test_ctrl_c_keeps_the_methods_that_are_done(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[str] = []
 
-    def interrupted(dataset: Any, config: SlamConfig, seed: int, progress: Any) -> Trial:
+    def interrupted(dataset: Any, config: SlamConfig, seed: int, *others: Any) -> Trial:
         asked.append(config.method)
         if len(asked) > 2:
             raise KeyboardInterrupt
@@ -232,7 +236,7 @@ def test_a_slip_is_one_line(arguments: tuple[str, ...], error: type[Exception], 
 
 def test_figures_that_cannot_be_written_say_where(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
-        "stillroom.cli.bench.session.attempt", lambda data, config, seed, bar: fabricated(seed, 60, 0.02)
+        "stillroom.cli.bench.session.attempt", lambda data, config, seed, *others: fabricated(seed, 60, 0.02)
     )
     (tmp_path / "file").write_text("")
     caught = invoke("accuracy", ROOM, "--json", str(tmp_path / "file" / "figures.json")).exception

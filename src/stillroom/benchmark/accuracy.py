@@ -53,6 +53,13 @@ class Accuracy:
         evaluation = self.trials[0].evaluation
         return None if evaluation is None else evaluation.as_given.still_camera_m
 
+    def ate_cells(self) -> tuple[str, str, str]:
+        """Return the ATE's median, least and largest for a table."""
+        ate_m = self.ate_m
+        if ate_m is None:
+            return NONE, NONE, NONE
+        return f"{ate_m.median:.4f}", f"{ate_m.min:.4f}", f"{ate_m.max:.4f}"
+
     def improvement_percent(self, baseline: "Accuracy") -> float | None:
         """Return how far the median ATE lies below a baseline's [%]; None where there is nothing to compare."""
         ours, theirs = self.ate_m, baseline.ate_m

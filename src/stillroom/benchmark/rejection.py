@@ -4,26 +4,27 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from stillroom.benchmark.accuracy import Accuracy
-from stillroom.benchmark.trial import BoxedFrames
+from stillroom.benchmark.accuracy import NONE, Accuracy
+from stillroom.benchmark.trial import FrameAverages
 from stillroom.config import SlamConfig
 from stillroom.dynamics.keep_all import KeepAllConfig
 from stillroom.dynamics.paper_epipolar import PaperEpipolarConfig
 from stillroom.dynamics.whole_boxes import WholeBoxesConfig
 from stillroom.evaluation.report_text import percent
+from stillroom.semantics.depth_clusters import NoClustersConfig
 
 NO_REJECTION, WHOLE_BOXES, LITERAL, PRESET = "no rejection", "whole boxes", "the paper's literal rule", "the preset"
 HEADER = ("rejection", "ATE [m]", "min", "max", "tracked", "static kept", "of keypoints", "against boxes", "in use")
 """Names of the columns of `row`."""
-NONE = "–"
 
 
 def ways(preset: SlamConfig) -> dict[str, SlamConfig]:
-    """Return the four configs by name: they differ in the match sieve alone."""
+    """Return the four configs by name: they differ in the match sieve, and in the clusters that only some ask for."""
+    boxes_only = replace(preset, clusters=NoClustersConfig())
     return {
-        NO_REJECTION: replace(preset, dynamics=KeepAllConfig()),
-        WHOLE_BOXES: replace(preset, dynamics=WholeBoxesConfig()),
-        LITERAL: replace(preset, dynamics=PaperEpipolarConfig()),
+        NO_REJECTION: replace(boxes_only, dynamics=KeepAllConfig()),
+        WHOLE_BOXES: replace(boxes_only, dynamics=WholeBoxesConfig()),
+        LITERAL: replace(boxes_only, dynamics=PaperEpipolarConfig()),
         PRESET: preset,
     }
 
@@ -35,18 +36,9 @@ class Way:
     accuracy: Accuracy
 
     @property
-    def boxed(self) -> BoxedFrames | None:
+    def boxed(self) -> FrameAverages | None:
         """The frames with something movable, on average over the runs; None where there were none."""
-        known = [trial.boxed for trial in self.accuracy.trials if trial.boxed is not None]
-        if not known:
-            return None
-        n = len(known)
-        return BoxedFrames(
-            n_frames=known[0].n_frames,
-            keypoints=sum(boxed.keypoints for boxed in known) / n,
-            static=sum(boxed.static for boxed in known) / n,
-            inliers=sum(boxed.inliers for boxed in known) / n,
-        )
+        return FrameAverages.over_runs([trial.boxed for trial in self.accuracy.trials])
 
     def more_kept_percent(self, other: "Way") -> float | None:
         """Return how many more static keypoints are kept than another way keeps [%]."""
@@ -55,12 +47,18 @@ class Way:
 
     def row(self, whole_boxes: "Way") -> tuple[str, ...]:
         """Return the cells under `HEADER`."""
-        ate_m, boxed, more = self.accuracy.ate_m, self.boxed, self.more_kept_percent(whole_boxes)
-        errors = [NONE] * 3 if ate_m is None else [f"{value:.4f}" for value in (ate_m.median, ate_m.min, ate_m.max)]
+        boxed, more = self.boxed, self.more_kept_percent(whole_boxes)
         kept = [NONE] * 2 if boxed is None else [f"{boxed.static:.0f}", percent(boxed.static_share)]
         gain = NONE if more is None or self is whole_boxes else f"{more:+.1f} %"
         in_use = NONE if boxed is None else f"{boxed.inliers:.0f}"
-        return (self.accuracy.method, *errors, percent(self.accuracy.coverage.min), *kept, gain, in_use)
+        return (
+            self.accuracy.method,
+            *self.accuracy.ate_cells(),
+            percent(self.accuracy.coverage.min),
+            *kept,
+            gain,
+            in_use,
+        )
 
     def to_dict(self, whole_boxes: "Way") -> dict[str, Any]:
         """Return the figures for a JSON file."""

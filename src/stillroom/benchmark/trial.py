@@ -1,7 +1,10 @@
 """One run of a method on a sequence, kept for its figures only."""
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
+
+import numpy as np
 
 from stillroom.config import SlamConfig
 from stillroom.data.image import RgbdImage
@@ -13,11 +16,12 @@ from stillroom.evaluation.report_text import percent
 from stillroom.evaluation.timing import StageClock
 from stillroom.pipeline import SILENT, Progress, RunOptions, run
 from stillroom.protocols import Dataset, Segmenter
+from stillroom.semantics.detector_off import FrameRange, WithheldSegmenter
 
 
 @dataclass(frozen=True)
-class BoxedFrames:
-    """The tracked frames in which something may move, on average.
+class FrameAverages:
+    """Some tracked frames, on average.
 
     Attributes:
         n_frames: How many there were.
@@ -34,6 +38,23 @@ class BoxedFrames:
         """Share of the keypoints that were judged static, 0 to 1."""
         return self.static / self.keypoints if self.keypoints else 0.0
 
+    @staticmethod
+    def over(results: Sequence[FrameResult]) -> "FrameAverages | None":
+        """Return the averages of some frames of a run; None where there are none."""
+        if not results:
+            return None
+        counts = np.array([(result.n_keypoints, result.n_static, result.n_inliers) for result in results])
+        return FrameAverages(len(results), *(float(mean) for mean in counts.mean(axis=0)))
+
+    @staticmethod
+    def over_runs(runs: Sequence["FrameAverages | None"]) -> "FrameAverages | None":
+        """Return the averages of several runs, the first one's frames; None where no run has any."""
+        known = [run for run in runs if run is not None]
+        if not known:
+            return None
+        means = np.mean([(run.keypoints, run.static, run.inliers) for run in known], axis=0)
+        return FrameAverages(known[0].n_frames, *(float(mean) for mean in means))
+
 
 @dataclass(frozen=True)
 class Trial:
@@ -43,7 +64,9 @@ class Trial:
         seed: Where its random choices started.
         n_given, n_tracked: Frames given, and frames with a pose.
         evaluation: Figures against the ground truth; None where there is none, or nothing to compare.
-        boxed: The frames in which something may move; None where there was none.
+        tracked: The tracked frames; None where there was none.
+        boxed: Those of them in which something may move; None where there was none.
+        first_boxed: Number of the first image in which something may move; None where there was none.
         clock: What the stages cost.
     """
 
@@ -51,7 +74,9 @@ class Trial:
     n_given: int
     n_tracked: int
     evaluation: Evaluation | None
-    boxed: BoxedFrames | None
+    tracked: FrameAverages | None
+    boxed: FrameAverages | None
+    first_boxed: int | None
     clock: StageClock
 
     @property
@@ -82,19 +107,35 @@ class Trial:
             "n_given": self.n_given,
             "n_tracked": self.n_tracked,
             "coverage": self.coverage,
+            "tracked_frames": None if self.tracked is None else asdict(self.tracked),
             "boxed_frames": None if self.boxed is None else asdict(self.boxed),
             "evaluation": None if self.evaluation is None else asdict(self.evaluation),
         }
 
 
-def attempt(dataset: Dataset, config: SlamConfig, seed: int, progress: Progress = SILENT) -> Trial:
+def attempt(
+    dataset: Dataset,
+    config: SlamConfig,
+    seed: int,
+    progress: Progress = SILENT,
+    withheld: tuple[FrameRange, ...] = (),
+) -> Trial:
     """Run a method over a sequence from a seed, and write nothing.
+
+    Args:
+        dataset: The sequence.
+        config: The method; its dense map is left out.
+        seed: Where its random choices start.
+        progress: Told of each frame.
+        withheld: Ranges of image numbers in which the method is told of nothing that may move; boxes that would be
+            carried on there are withheld too.
 
     Raises:
         KeyboardInterrupt: The user stopped it: half a run has no figures to compare.
         StillroomError: Something that the run needs is wrong.
     """
-    noting = NotingSegmenter(config.semantics.build())
+    segmenter = config.semantics.build()
+    noting = NotingSegmenter(WithheldSegmenter(segmenter, withheld) if withheld else segmenter)
     options = RunOptions(root=None, pictures=0, segmenter=noting)
     # The dense map changes no pose, and is not looked at here.
     outcome = run(dataset, replace(config, seed=seed, dense=NoDenseMapConfig()), options, progress)
@@ -102,8 +143,16 @@ def attempt(dataset: Dataset, config: SlamConfig, seed: int, progress: Progress 
         raise KeyboardInterrupt
     # A lost frame has no verdict worth counting: nothing was rejected there because nothing was tracked.
     tracked = [result for result in outcome.slam.results if result.T_world_cam is not None]
-    boxed = [result for result in tracked if result.index in noting.occupied]
-    return Trial(seed, outcome.n_given, outcome.n_tracked, outcome.evaluation, _averaged(boxed), outcome.clock)
+    return Trial(
+        seed=seed,
+        n_given=outcome.n_given,
+        n_tracked=outcome.n_tracked,
+        evaluation=outcome.evaluation,
+        tracked=FrameAverages.over(tracked),
+        boxed=FrameAverages.over([result for result in tracked if result.index in noting.occupied]),
+        first_boxed=min(noting.occupied, default=None),
+        clock=outcome.clock,
+    )
 
 
 class NotingSegmenter:
@@ -119,15 +168,3 @@ class NotingSegmenter:
         if semantics.has_any:
             self.occupied.add(image.index)
         return semantics
-
-
-def _averaged(results: list[FrameResult]) -> BoxedFrames | None:
-    if not results:
-        return None
-    n = len(results)
-    return BoxedFrames(
-        n_frames=n,
-        keypoints=sum(result.n_keypoints for result in results) / n,
-        static=sum(result.n_static for result in results) / n,
-        inliers=sum(result.n_inliers for result in results) / n,
-    )

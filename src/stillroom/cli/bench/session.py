@@ -20,6 +20,7 @@ from stillroom.errors import StillroomError
 from stillroom.pipeline import Source
 from stillroom.pipeline.provenance import provenance
 from stillroom.protocols import Dataset
+from stillroom.semantics.detector_off import FrameRange
 
 INTERRUPTED = 130
 R = TypeVar("R")
@@ -67,14 +68,16 @@ class Bench:
             self._stopped = True
         return done
 
-    def seeds_of(self, dataset: Dataset, runs: int) -> Callable[[str, SlamConfig], Accuracy]:
-        """Return what runs a config on a sequence with each seed."""
+    def seeds_of(
+        self, dataset: Dataset, runs: int, withheld: tuple[FrameRange, ...] = ()
+    ) -> Callable[[str, SlamConfig], Accuracy]:
+        """Return what runs a config on a sequence with each seed; see `attempt` for what is withheld."""
 
         def measure(name: str, config: SlamConfig) -> Accuracy:
             trials = []
             for seed in range(runs):
                 self.bar.label = f"{name}, seed {seed}"
-                trials.append(attempt(dataset, config, seed, self.bar))
+                trials.append(attempt(dataset, config, seed, self.bar, withheld))
                 say(f"{name} on {dataset.name}, {trials[-1].line()}")
             return Accuracy(dataset.name, name, tuple(trials))
 

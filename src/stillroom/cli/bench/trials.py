@@ -1,12 +1,14 @@
-"""`stillroom bench accuracy`, `rejection` and `speed`: what is learnt from running methods again and again."""
+"""`stillroom bench accuracy`, `rejection`, `parts` and `speed`: what is learnt from running methods again and again."""
 
 from typing import Annotated
 
 import typer
 
 from stillroom.benchmark import accuracy as exactness
+from stillroom.benchmark import parts as combining
 from stillroom.benchmark import rejection as rejecting
 from stillroom.benchmark import speed as cost
+from stillroom.benchmark.parts import BOTH, HALF, Part, every_second_second
 from stillroom.benchmark.rejection import Way, ways
 from stillroom.benchmark.speed import Speed, UnitMeter
 from stillroom.cli.arguments import Settings
@@ -18,12 +20,12 @@ from stillroom.methods.registry import configure
 from stillroom.pipeline import Source
 from stillroom.warmup import warm_up
 
-BOTH = "orb-slam2,oc-slam"
+PRESETS = "orb-slam2,oc-slam"
 
 
 def accuracy(
     sequences: Sequences,
-    methods: Methods = BOTH,
+    methods: Methods = PRESETS,
     runs: Runs = 5,
     frames: Frames = None,
     camera: Camera = None,
@@ -64,9 +66,37 @@ def rejection(
     bench.finish()
 
 
+def parts(
+    sequence: Sequence1,
+    method: Annotated[str, typer.Option(metavar="NAME", help="The preset whose parts are on trial.")] = "oc-slam",
+    runs: Runs = 1,
+    frames: Frames = None,
+    camera: Camera = None,
+    settings: Settings = None,
+    out: Out = None,
+) -> None:
+    """Compare neither boxes nor clusters, each alone, both, and both with the detector failing half the time.
+
+    It fails every second second from the first image on in which it sees something; carried boxes are withheld too.
+    """
+    configs = combining.parts(configure(method, None, settings or ()))
+    bench = Bench("parts", out)
+    dataset = bench.open(Source(sequence, camera, frames=frames))
+    table = [Part(row) for row in bench.each(configs, bench.seeds_of(dataset, runs))]
+    first = next((part.first_boxed for part in table if part.accuracy.method == BOTH), None)
+    withheld = () if first is None else every_second_second(dataset, first)
+    if withheld:
+        table += map(Part, bench.each({HALF: configs[BOTH]}, bench.seeds_of(dataset, runs, withheld)))
+    if table:
+        bench.print_table(dataset.name, combining.HEADER, [part.row() for part in table])
+        print_lines(combining.sentences(table, withheld))
+        bench.keep([part.to_dict(table[0]) for part in table])
+    bench.finish()
+
+
 def speed(
     sequence: Sequence1,
-    methods: Methods = BOTH,
+    methods: Methods = PRESETS,
     frames: Frames = None,
     camera: Camera = None,
     settings: Settings = None,

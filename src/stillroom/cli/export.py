@@ -56,7 +56,8 @@ def export(
     config.occupancy.build()  # now: values that contradict each other are told before anything is written
     results = results_folder(folder or DEFAULT_FOLDER)
     if not (results / NAME).exists():
-        raise MapError(f"{folder or DEFAULT_FOLDER}: this run has no dense map; run with --method oc-slam to make one")
+        shown = folder or DEFAULT_FOLDER
+        raise MapError(f"{shown}: this run has no dense map; run with --method oc-slam or --set dense.kind=voxels")
     cloud = load_cloud(results / NAME)
     if len(cloud) == 0:
         raise MapError(f"{results / NAME}: the dense map is empty; there is nothing to export")

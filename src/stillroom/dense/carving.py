@@ -16,7 +16,9 @@ from stillroom.geometry.arrays import F64, I32, I64, U16, Bool
 from stillroom.geometry.camera import Camera
 
 COARSER = 2
-"""Rays that carve are taken at the stride of the clouds times this, and points of moving things at twice that."""
+"""Rays that carve are taken at the stride of the clouds times this."""
+
+TYPICAL_DEPTH_M = 3.0
 
 
 @dataclass(frozen=True)
@@ -69,7 +71,9 @@ class Carver:
         self._limits = config.lowest, config.highest
         self._stride = COARSER * surface.stride
         self._seeing = float(UNIT_M), self._stride, config.tolerance_m, config.tolerance_share
-        self._since_judged = config.every
+        # Points of moving things lie no further apart than the radius, up to a typical depth.
+        self._thinning = max(1, int(config.radius_m * camera.fx / TYPICAL_DEPTH_M / self._stride))
+        self._since_judged = self._since_frame_judged = config.every
 
     @property
     def n_bytes(self) -> int:
@@ -95,9 +99,10 @@ class Carver:
             now: Time that voided voxels are marked with.
         """
         self._since_judged += 1
+        self._since_frame_judged += 1
         depth = small_depth(image.depth_m, excluded, self._stride)
-        # Frames between keyframes carve too, and tell as much: with them, a keyframe seldom needs to.
-        if self._since_judged > 2 * self.config.every:
+        # Frames between keyframes tell as much: where they are offered, a keyframe seldom needs to carve.
+        if self._since_frame_judged > 2 * self.config.every:
             self._judge(depth, T_world_cam, now)
         if excluded is not None:
             self._remove_moving(depth, T_world_cam, now)
@@ -108,7 +113,9 @@ class Carver:
     ) -> None:
         """Let a frame carve if its turn has come; it is remembered by its place beside a keyframe. Else as above."""
         self._since_judged += 1
+        self._since_frame_judged += 1
         if self._since_judged >= self.config.every:
+            self._since_frame_judged = 0
             depth = small_depth(image.depth_m, excluded, self._stride)
             self._judge(depth, T_world_cam, now)
             self._witnesses.remember(keyframe, T_keyframe_cam, T_world_cam, depth)
@@ -119,7 +126,7 @@ class Carver:
         rows = newborn[voxels.weight[newborn] > 0]
         if len(rows) == 0:
             return
-        voxels.score[rows] = 0
+        voxels.score[rows] = config.hit  # the image that they come from
         positions_m = mean_positions(rows, voxels.key, voxels.rows, voxels.voxel_m)
         for T_cam_world, depth in self._witnesses.choose(positions_m, self._far_m, config.n_asked, self.world):
             judge_rows(
@@ -169,9 +176,10 @@ class Carver:
 
     def _moving_points(self, depth: U16, T_world_cam: F64) -> F64:
         """Return points (M, 3) [m, world] of what moves."""
-        coarse = depth[::COARSER, ::COARSER]
+        step = self._thinning
+        coarse = depth[::step, ::step]
         depth_m = np.multiply(coarse, UNIT_M, dtype=np.float32)
         row, column = np.nonzero((coarse % 2 == 1) & (depth_m <= self._far_m))
-        raw_px = np.stack((column, row), axis=1).astype(np.float32) * np.float32(COARSER * self._stride)
+        raw_px = np.stack((column, row), axis=1).astype(np.float32) * np.float32(step * self._stride)
         points_cam_m = self.camera.back_project(self.camera.undistort(raw_px), depth_m[row, column])
         return se3.transform(T_world_cam, points_cam_m)

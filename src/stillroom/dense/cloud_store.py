@@ -81,7 +81,8 @@ class CloudStore:
         usable = np.unpackbits(packed.bits, count=packed.depth.size).reshape(self._shape)
         return KeyframeCloud(packed.depth, packed.rgb, usable)
 
-    def _from_bytes(self, piece: bytes) -> _Packed:
+    def _from_bytes(self, read: bytes) -> _Packed:
+        piece = bytearray(read)  # arrays on bytes are read-only: kernels would be compiled again for these
         h, w = self._shape
         n = h * w
         depth = np.frombuffer(piece, dtype=np.uint16, count=n).reshape(h, w)

@@ -26,6 +26,9 @@ MB = float(1 << 20)
 CLOUD_SHARE, VOXEL_SHARE, WITNESS_SHARE = 0.45, 0.45, 0.1
 """What keyframe clouds, voxels and earlier depth images may take of the memory."""
 
+PATIENCE = 2.0
+"""Poses of new keyframes go to and fro: while frames come, only what has moved this much more is fused anew."""
+
 
 @dataclass(frozen=True)
 class DenseMapperConfig:
@@ -54,7 +57,7 @@ class DenseMapperConfig:
     corrections: int = 1
     fuse_every: int = 8
     least_pixels: float = 0.0
-    layer_voxels: int = 2
+    layer_voxels: int = 1
     max_memory_mb: float = 512.0
     swap_folder: Path | None = None
 
@@ -174,7 +177,8 @@ class DenseMapper:
 
     def _correct(self, most: int | None) -> None:
         """Fuse views anew that moved, the farthest moved first; without a limit, those on culled keyframes too."""
-        for view in self._views.moved(self.world, self.config.correction_m, with_culled=most is None)[:most]:
+        tolerance_m = self.config.correction_m * (1.0 if most is None else PATIENCE)
+        for view in self._views.moved(self.world, tolerance_m, with_culled=most is None)[:most]:
             T_world_cam = self._views.pose_now(view, self.world)
             cloud, normals = self._take_out(view)
             self._put_in(view, cloud, normals, T_world_cam)

@@ -85,7 +85,9 @@ class CloudMaker:
             image: Colours and depths as taken.
             excluded: Pixels that move (H, W); None for none.
         """
-        stride = self.config.stride
+        stride, size = self.config.stride, (self.camera.height, self.camera.width)
+        assert image.depth_m.shape == size, f"a depth image of {image.depth_m.shape}; the camera's have {size}"
+        assert excluded is None or excluded.shape == size, "moving pixels of another size than the image"
         depth = smoothed(in_units(image.depth_m, stride))
         rgb = np.empty((*depth.shape, 3), dtype=np.uint8)
         take_every(image.rgb, stride, rgb)

@@ -10,7 +10,8 @@ I8 = NDArray[np.int8]
 NORMAL_SCALE = 127.0
 STEP_TOLERANCE_M = 0.02
 STEP_TOLERANCE_PER_M = 0.0065  # times z²: about three deviations of the difference of two Kinect depths
-SLOPE_PER_PX = 0.01  # relative change of depth from pixel to pixel of a surface that is still worth a normal
+SLOPE = 1.0  # change of depth per sideways step of a surface that is no edge
+STEEP_SLOPE = 2.5  # of one that is still worth a normal
 FEWEST_ALIKE = 5  # of eight neighbours: a straight edge leaves five, a pixel in the air between two surfaces fewer
 LONGEST_REACH_PX = 5
 
@@ -31,6 +32,7 @@ def find_surfaces(depth_m: F32, rays: F32, near_m: float, far_m: float, least_co
         usable: Pixels to look at (h, w), 0 or 1; changed in place.
     """
     height, width = depth_m.shape
+    pitch = np.float32((rays[height // 2, width - 1, 0] - rays[height // 2, 0, 0]) / max(1, width - 1))
     normals = np.zeros((height, width, 3), dtype=np.int8)
     for y in range(height):
         for x in range(width):
@@ -40,33 +42,13 @@ def find_surfaces(depth_m: F32, rays: F32, near_m: float, far_m: float, least_co
             z = depth_m[y, x]
             if not (near_m <= z <= far_m):
                 continue
-            tolerance = np.float32(max(STEP_TOLERANCE_M, STEP_TOLERANCE_PER_M * z * z))
-            alike = 0
-            for v in range(max(0, y - 1), min(height, y + 2)):
-                for u in range(max(0, x - 1), min(width, x + 2)):
-                    alike += 1 if abs(depth_m[v, u] - z) <= tolerance else 0
-            if alike - 1 < FEWEST_ALIKE:
+            tolerance = np.float32(max(STEP_TOLERANCE_M, STEP_TOLERANCE_PER_M * z * z) + SLOPE * pitch * z)
+            if _count_alike(depth_m, y, x, tolerance) < FEWEST_ALIKE:
                 continue
             reach = min(LONGEST_REACH_PX, 1 + int(z))
-            loose = tolerance + np.float32(SLOPE_PER_PX) * z * np.float32(reach)
-            left, right = x, x
-            if x >= reach and abs(depth_m[y, x - reach] - z) <= loose:
-                left = x - reach
-            elif x >= 1 and abs(depth_m[y, x - 1] - z) <= loose:
-                left = x - 1
-            if x + reach < width and abs(depth_m[y, x + reach] - z) <= loose:
-                right = x + reach
-            elif x + 1 < width and abs(depth_m[y, x + 1] - z) <= loose:
-                right = x + 1
-            above, below = y, y
-            if y >= reach and abs(depth_m[y - reach, x] - z) <= loose:
-                above = y - reach
-            elif y >= 1 and abs(depth_m[y - 1, x] - z) <= loose:
-                above = y - 1
-            if y + reach < height and abs(depth_m[y + reach, x] - z) <= loose:
-                below = y + reach
-            elif y + 1 < height and abs(depth_m[y + 1, x] - z) <= loose:
-                below = y + 1
+            loose = tolerance + np.float32(STEEP_SLOPE) * pitch * z * np.float32(reach)
+            left, right = x - _step(depth_m, y, x, 0, -1, reach, loose), x + _step(depth_m, y, x, 0, 1, reach, loose)
+            above, below = y - _step(depth_m, y, x, -1, 0, reach, loose), y + _step(depth_m, y, x, 1, 0, reach, loose)
             if left == right or above == below:
                 continue
             zl, zr, za, zb = depth_m[y, left], depth_m[y, right], depth_m[above, x], depth_m[below, x]
@@ -89,6 +71,27 @@ def find_surfaces(depth_m: F32, rays: F32, near_m: float, far_m: float, least_co
             normals[y, x, 2] = np.int8(np.rint(nz * scale))
             usable[y, x] = 1
     return normals
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _count_alike(depth_m: F32, y: int, x: int, tolerance: float) -> int:
+    """Return how many of the neighbours of a pixel lie at its depth."""
+    alike = -1
+    for v in range(max(0, y - 1), min(depth_m.shape[0], y + 2)):
+        for u in range(max(0, x - 1), min(depth_m.shape[1], x + 2)):
+            alike += 1 if abs(depth_m[v, u] - depth_m[y, x]) <= tolerance else 0
+    return alike
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _step(depth_m: F32, y: int, x: int, down: int, right: int, reach: int, tolerance: float) -> int:
+    """Return how far one may go from a pixel for a difference of depth: to the reach, to the neighbour, or not."""
+    for n in (reach, 1):
+        v, u = y + n * down, x + n * right
+        inside = 0 <= v < depth_m.shape[0] and 0 <= u < depth_m.shape[1]
+        if inside and abs(depth_m[v, u] - depth_m[y, x]) <= tolerance:
+            return n
+    return 0
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

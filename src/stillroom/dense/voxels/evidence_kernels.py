@@ -58,25 +58,31 @@ def look(
     radial = 1.0 + r2 * (lens[4] + r2 * (lens[5] + r2 * lens[8]))
     u = lens[0] * (x * radial + 2.0 * lens[6] * x * y + lens[7] * (r2 + 2.0 * x * x)) + lens[2]
     v = lens[1] * (y * radial + lens[6] * (r2 + 2.0 * y * y) + 2.0 * lens[7] * x * y) + lens[3]
-    if not (u >= 0.0 and v >= 0.0):
+    if not (u >= -0.5 and v >= -0.5):
         return NOTHING
+    height, width = views.shape[:2]
     finer = 1.0 / stride
-    column, row = int(u * finer + 0.5), int(v * finer + 0.5)
-    if row >= views.shape[0] or column >= views.shape[1]:
+    if u * finer >= width or v * finer >= height:
         return NOTHING
+    column, row = min(int(u * finer + 0.5), width - 1), min(int(v * finer + 0.5), height - 1)
     units = views[row, column, 0]
     if units == 0:
         return NOTHING
     tolerance = max(tolerance_m, share * z)
-    nearest, farthest = views[row, column, 1] * unit_m, views[row, column, 2] * unit_m
-    if nearest > z + tolerance:
+    nearest, farthest = views[row, column, 1], views[row, column, 2]
+    if nearest * unit_m > z + tolerance:
         return PASSED
-    moves = units & 1
-    if not moves and (
-        abs(units * unit_m - z) <= tolerance or abs(nearest - z) <= tolerance or abs(farthest - z) <= tolerance
-    ):
+    if _is_surface(units, z, unit_m, tolerance):
+        return HIT
+    if _is_surface(nearest, z, unit_m, tolerance) or _is_surface(farthest, z, unit_m, tolerance):
         return HIT
     return NOTHING
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _is_surface(units: int, z: float, unit_m: float, tolerance: float) -> bool:
+    """Tell whether a pixel shows something at a depth that does not move."""
+    return units & 1 == 0 and abs(units * unit_m - z) <= tolerance
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillroom.dense.swap_file import SwapFile
-from stillroom.dense.voxels.fusing_kernels import N_COLUMNS
+from stillroom.dense.voxels.fusing_kernels import N_COLUMNS, VOIDED_AT
 from stillroom.dense.voxels.hash_kernels import EMPTY
-from stillroom.dense.voxels.voxel_map import VoxelMap, block_centres_m, block_keys_of
+from stillroom.dense.voxels.voxel_map import NEVER, VoxelMap, block_centres_m, block_keys_of
 from stillroom.geometry.arrays import F64, I64, Bool
 
 logger = logging.getLogger(__name__)
@@ -64,7 +64,8 @@ class SwappedBlocks:
         except OSError as error:
             logger.warning("dense map: voxels stay in memory, above the bound: %s", error)
             return
-        voxels.keep_rows(~leaving[voxels.block])
+        is_idle = (voxels.weight == 0) & (voxels.rows[:, VOIDED_AT] == NEVER)
+        voxels.keep_rows(~leaving[voxels.block] & ~is_idle)
 
     def back(self, voxels: VoxelMap, block_keys: I64) -> None:
         """Move those of the blocks (B,) that lie in the file back into memory."""

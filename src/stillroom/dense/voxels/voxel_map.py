@@ -26,7 +26,7 @@ BLOCK_BITS = 4
 """A block is a cube of 16 voxels each way: what is looked at, left out, or swapped as a whole."""
 
 MAX_LOAD = 0.6
-FIRST_ROWS, FIRST_SLOTS = 1 << 16, 1 << 18
+FIRST_ROWS, FIRST_SLOTS = 1 << 14, 1 << 16
 GROWTH = 1.25
 NEVER = -1
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 
-from stillroom.data.cloud.clusters import PLANE, UNKNOWN, Clusters
+from stillroom.data.cloud.clusters import UNKNOWN, Clusters
 from stillroom.data.frame import Frame
 from stillroom.data.map import Map
 from stillroom.data.matches import Matches
@@ -13,9 +13,10 @@ from stillroom.data.motion import Motion, Stage
 from stillroom.data.semantics import Semantics
 from stillroom.dynamics.clusters.belief import Belief
 from stillroom.dynamics.clusters.samples import Sampler, Samples
+from stillroom.dynamics.depth_history import DepthHistory, DepthHistoryConfig
 from stillroom.dynamics.epipolar import EpipolarConfig
 from stillroom.geometry import se3
-from stillroom.geometry.arrays import F64, U8, Bool
+from stillroom.geometry.arrays import F64, Bool
 from stillroom.protocols import Pending
 
 
@@ -31,7 +32,9 @@ class ClusterSieveConfig:
     matches; one image does not decide alone; and a box is a reason for suspicion, no proof.
 
     Attributes:
-        boxes: The sieve for what lies in boxes; its depth history serves the clusters too.
+        boxes: The sieve for what lies in boxes.
+        history: The earlier depth images that clusters are held against. The oldest bounds how long a thing counts as
+            moving after it came to rest: less than in boxes, because it may be a chair.
         gain: What one image can add to the log-odds when all pairs say the same.
         suspicion: What a box adds to the log-odds of a cluster that it covers.
         limit: Largest log-odds: how much a cluster's past can weigh.
@@ -45,6 +48,7 @@ class ClusterSieveConfig:
     """
 
     boxes: EpipolarConfig = field(default_factory=EpipolarConfig)
+    history: DepthHistoryConfig = field(default_factory=lambda: DepthHistoryConfig(ages_s=(0.3, 0.6, 1.2, 2.4)))
     gain: float = 1.5
     suspicion: float = 0.5
     limit: float = 4.0
@@ -68,6 +72,7 @@ class ClusterSieve:
         """Start without a past."""
         self.config = config
         self._boxes = config.boxes.build(seed)
+        self._history = DepthHistory(config.history)
         self._sampler = Sampler()
         self._belief = Belief(config.fades_in_s, config.reach_m)
 
@@ -90,13 +95,15 @@ class ClusterSieve:
         if clusters is not None:
             samples = self._sampler.take(frame, clusters)
             belief = self._believe(frame, matches, clusters, samples, T_cam_world, world)
-            moving = _moving_pixels(clusters, belief > 0, self.config.margin_px)
+            moving = _moving_pixels(clusters, belief, known.movable, self.config.margin_px)
             column, row = np.rint(frame.keypoints.raw_px).astype(np.int64).T
-            is_static = motion.is_static & ~moving[row, column]
-            # In a box all moves but planes, which the person stands before.
-            motion = Motion(is_static, moving | (known.movable & (clusters.labels != PLANE)))
+            moves = moving[row, column] & ~known.movable[row, column]  # in boxes their own sieve knows better
+            labels = clusters.labels[row, column]
+            moves |= np.append(belief > 0, (False, False))[labels]
+            motion = Motion(motion.is_static & ~moves, moving)
             if stage is Stage.LOCAL_MAP:
                 self._belief.remember(frame, clusters, belief, T_cam_world)
+                self._history.remember(frame, T_cam_world)
         if stage is Stage.LOCAL_MAP:
             self._boxes.history.remember(frame, T_cam_world)
         stay = int(np.count_nonzero(motion.is_static[matches.keypoint]))
@@ -115,8 +122,7 @@ class ClusterSieve:
 
     def _failing_points(self, frame: Frame, clusters: Clusters, samples: Samples, T_cam_world: F64) -> F64:
         """Return the share (K,) of each cluster's points that lie where it was empty before; ½ where unknown."""
-        history = self._boxes.history
-        evidence = history.evidence(frame.camera, samples.in_world(T_cam_world), frame.timestamp_s)
+        evidence = self._history.evidence(frame.camera, samples.in_world(T_cam_world), frame.timestamp_s)
         fails = evidence.empty > 0
         holds = ~fails & (evidence.agrees > 0)
         n = len(clusters)
@@ -143,12 +149,24 @@ class ClusterSieve:
         return np.where(n >= self.config.min_pairs, share, 0.5)
 
 
-def _moving_pixels(clusters: Clusters, moves: Bool, margin_px: int) -> Bool:
-    """Return the pixels (H, W) of moving clusters (K,), and of what is unknown beside them."""
-    table = np.append(moves, (False, False))  # labels −1 and −2 read the last two
-    moving: U8 = table[clusters.labels].astype(np.uint8)
+def _moving_pixels(clusters: Clusters, belief: F64, in_boxes: Bool, margin_px: int) -> Bool:
+    """Return the pixels (H, W) that move.
+
+    Those of moving clusters and of what stands in the boxes; of other clusters, what lies in a box and is not believed
+    static; and what is unknown beside all these.
+
+    Args:
+        clusters: The clusters.
+        belief: Their log-odds (K,).
+        in_boxes: Pixels in boxes (H, W).
+        margin_px: How far beside.
+    """
+    always = np.append((belief > 0) | (clusters.box >= 0), (False, False))  # labels −1 and −2 read the last two
+    moving = always[clusters.labels]
+    if in_boxes.any():
+        moving |= in_boxes & np.append(belief == 0, (False, False))[clusters.labels]
     if not moving.any():
-        return moving.astype(np.bool_)
+        return moving
     kernel = np.ones((2 * margin_px + 1, 2 * margin_px + 1), dtype=np.uint8)
-    near = cv2.dilate(moving, kernel).astype(np.bool_) & (clusters.labels == UNKNOWN)
-    return np.asarray(moving.astype(np.bool_) | near)
+    near = cv2.dilate(moving.view(np.uint8), kernel).astype(np.bool_) & (clusters.labels == UNKNOWN)
+    return np.asarray(moving | near)

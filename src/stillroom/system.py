@@ -10,7 +10,6 @@ from stillroom.data.map import Map
 from stillroom.data.result import FrameResult, Tracked
 from stillroom.data.semantics import Semantics
 from stillroom.data.trajectory import Trajectory
-from stillroom.dynamics.keep_all import KeepAllKeypoints
 from stillroom.evaluation.timed_parts import timed_part
 from stillroom.evaluation.timing import StageClock
 from stillroom.geometry import se3
@@ -168,7 +167,7 @@ def build(
         segmenter=clock.timed("semantics", segmenter),
         clusterer=clock.timed("clusters", config.clusters.build(camera, config.seed)),
         features=timed_part(config.features.build(camera, config.seed), clock, extract="features"),
-        keypoint_sieve=KeepAllKeypoints(),
+        keypoint_sieve=config.keypoints.build(),
         tracker=timed_part(tracker, clock, track="tracking"),
         recovery=timed_part(recovery, clock, recover="recovery"),
         keyframe_policy=config.keyframes.build(),

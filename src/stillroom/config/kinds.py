@@ -15,12 +15,13 @@ from stillroom.dense.dense_mapper import DenseMapperConfig
 from stillroom.dense.nothing import NoDenseMapConfig
 from stillroom.dynamics.clusters.sieve import ClusterSieveConfig
 from stillroom.dynamics.epipolar import EpipolarConfig
-from stillroom.dynamics.keep_all import KeepAllConfig
+from stillroom.dynamics.keep_all import KeepAllConfig, KeepAllKeypointsConfig
+from stillroom.dynamics.masked_keypoints import MaskedKeypointsConfig
 from stillroom.dynamics.paper_epipolar import PaperEpipolarConfig
 from stillroom.dynamics.whole_boxes import WholeBoxesConfig
 from stillroom.errors import ConfigError
 from stillroom.geometry.camera import Camera
-from stillroom.protocols import Clusterer, DenseMapping, MatchSieve, Segmenter
+from stillroom.protocols import Clusterer, DenseMapping, KeypointSieve, MatchSieve, Segmenter
 from stillroom.semantics.depth_clusters import DepthClustersConfig, NoClustersConfig
 from stillroom.semantics.mask_files import MaskFilesConfig
 from stillroom.semantics.nothing import NothingConfig
@@ -43,6 +44,13 @@ class ClustererConfig(Protocol):
 
     def build(self, camera: Camera, seed: int) -> Clusterer:
         """Return the clusterer for a camera; all that it draws by lot comes from the seed."""
+
+
+class KeypointSieveConfig(Protocol):
+    """The config of a part that says which keypoints tracking may use; a frozen dataclass."""
+
+    def build(self) -> KeypointSieve:
+        """Return the sieve."""
 
 
 class DenseMappingConfig(Protocol):
@@ -116,6 +124,8 @@ SEMANTICS = Kinds(
 )
 
 CLUSTERS = Kinds("clusters", {"nothing": NoClustersConfig, "depth": DepthClustersConfig})
+
+KEYPOINTS = Kinds("keypoints", {"keep-all": KeepAllKeypointsConfig, "masked": MaskedKeypointsConfig})
 
 DENSE = Kinds("dense", {"nothing": NoDenseMapConfig, "voxels": DenseMapperConfig})
 

@@ -9,14 +9,16 @@ from stillroom.config.kinds import (
     CLUSTERS,
     DENSE,
     DYNAMICS,
+    KEYPOINTS,
     SEMANTICS,
     ClustererConfig,
     DenseMappingConfig,
+    KeypointSieveConfig,
     MatchSieveConfig,
     SegmenterConfig,
 )
 from stillroom.dense.nothing import NoDenseMapConfig
-from stillroom.dynamics.keep_all import KeepAllConfig
+from stillroom.dynamics.keep_all import KeepAllConfig, KeepAllKeypointsConfig
 from stillroom.features.orb import OrbConfig
 from stillroom.mapping.local_mapper import LocalMapperConfig
 from stillroom.semantics.depth_clusters import NoClustersConfig
@@ -35,6 +37,7 @@ class SlamConfig:
         seed: Where every random choice starts.
         semantics: What may move; `kind` chooses the part (see `kinds`).
         clusters: What the depth cloud of an image falls into; `kind` chooses the part.
+        keypoints: Which keypoints tracking may use (sieve 1); `kind` chooses the part.
         dynamics: What does move (sieve 2); `kind` chooses the part.
         features: Keypoints.
         tracking, recovery, keyframes, mapping: ORB-SLAM2's parts.
@@ -45,6 +48,7 @@ class SlamConfig:
     seed: int = 0
     semantics: SegmenterConfig = field(default_factory=NothingConfig, metadata={"kinds": SEMANTICS})
     clusters: ClustererConfig = field(default_factory=NoClustersConfig, metadata={"kinds": CLUSTERS})
+    keypoints: KeypointSieveConfig = field(default_factory=KeepAllKeypointsConfig, metadata={"kinds": KEYPOINTS})
     dynamics: MatchSieveConfig = field(default_factory=KeepAllConfig, metadata={"kinds": DYNAMICS})
     features: OrbConfig = field(default_factory=OrbConfig)
     tracking: TrackerConfig = field(default_factory=TrackerConfig)

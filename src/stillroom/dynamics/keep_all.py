@@ -8,7 +8,16 @@ from stillroom.data.matches import Matches
 from stillroom.data.motion import Motion, Stage
 from stillroom.data.semantics import Semantics
 from stillroom.geometry.arrays import F64
-from stillroom.protocols import Pending
+from stillroom.protocols import KeypointSieve, Pending
+
+
+@dataclass(frozen=True)
+class KeepAllKeypointsConfig:
+    """Every keypoint is tracked."""
+
+    def build(self) -> KeypointSieve:
+        """Return the sieve."""
+        return KeepAllKeypoints()
 
 
 class KeepAllKeypoints:

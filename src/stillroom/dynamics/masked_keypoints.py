@@ -1,0 +1,62 @@
+"""Keypoints on what may move are dropped before tracking: the a-priori mask of DynaSLAM and PSPNet-SLAM."""
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from stillroom.data.frame import Frame
+from stillroom.data.semantics import Semantics
+from stillroom.errors import ConfigError
+from stillroom.protocols import KeypointSieve, Pending
+
+
+@dataclass(frozen=True)
+class MaskedKeypointsConfig:
+    """Which keypoints lie on what may move.
+
+    Attributes:
+        border_px: Keypoints this near to the mask are dropped too [px]: a corner of the silhouette belongs to nobody
+            (REFERENCE 2.1). Segmenters grow their masks themselves; this comes on top.
+        min_keypoints: The sieve is off where fewer keypoints than this would stay: such a frame is lost either way
+            unless the mask is wrong.
+    """
+
+    border_px: int = 2
+    min_keypoints: int = 20
+
+    def build(self) -> KeypointSieve:
+        """Return the sieve.
+
+        Raises:
+            ConfigError: A value is negative.
+        """
+        for key in ("border_px", "min_keypoints"):
+            if getattr(self, key) < 0:
+                raise ConfigError(f"{key} is {getattr(self, key)}; it must not be negative")
+        return MaskedKeypoints(self)
+
+
+class MaskedKeypoints:
+    """Sieve 1 that drops keypoints on the mask, or in the boxes where there is no mask, and on its border."""
+
+    def __init__(self, config: MaskedKeypointsConfig) -> None:
+        """Keep the configuration."""
+        self.config = config
+
+    def __call__(self, frame: Frame, semantics: Pending[Semantics]) -> Frame:
+        """Return the frame; static is what was so before and does not lie on anything movable."""
+        known = semantics.result()
+        if not known.has_any:
+            return frame
+        is_static = frame.is_static & ~self._grown(known).movable_at(frame.keypoints.raw_px)
+        if np.count_nonzero(is_static) < self.config.min_keypoints:
+            return frame
+        return frame.with_static(is_static)
+
+    def _grown(self, known: Semantics) -> Semantics:
+        if self.config.border_px == 0:
+            return known
+        side = 2 * self.config.border_px + 1
+        disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
+        return replace(known, mask=cv2.dilate(known.movable.view(np.uint8), disc) != 0)

@@ -97,6 +97,8 @@ class Life:
         place, rows = world.observations(asked)
         pairs = [(i, row) for i, p in enumerate(asked.tolist()) for row in naive.rows_of[p]]
         assert list(zip(place.tolist(), rows.tolist(), strict=True)) == pairs
+        oldest = [naive.rows_of[p][-1] if naive.rows_of[p] else -1 for p in asked.tolist()]
+        np.testing.assert_array_equal(world.oldest_observations(asked), oldest)
         for point in naive.alive:
             keyframes = world.keypoints.keyframe[naive.rows_of[point]]
             assert len(np.unique(keyframes)) == len(keyframes)

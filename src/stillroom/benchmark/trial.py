@@ -113,6 +113,11 @@ class Trial:
         }
 
 
+def poses_only(config: SlamConfig) -> SlamConfig:
+    """Return a config without its dense map, which changes no pose."""
+    return replace(config, dense=NoDenseMapConfig())
+
+
 def attempt(
     dataset: Dataset,
     config: SlamConfig,
@@ -124,7 +129,7 @@ def attempt(
 
     Args:
         dataset: The sequence.
-        config: The method; its dense map is left out.
+        config: The method.
         seed: Where its random choices start.
         progress: Told of each frame.
         withheld: Ranges of image numbers in which the method is told of nothing that may move; boxes that would be
@@ -137,8 +142,7 @@ def attempt(
     segmenter = config.semantics.build()
     noting = NotingSegmenter(WithheldSegmenter(segmenter, withheld) if withheld else segmenter)
     options = RunOptions(root=None, pictures=0, segmenter=noting)
-    # The dense map changes no pose, and is not looked at here.
-    outcome = run(dataset, replace(config, seed=seed, dense=NoDenseMapConfig()), options, progress)
+    outcome = run(dataset, replace(config, seed=seed), options, progress)
     if outcome.interrupted:
         raise KeyboardInterrupt
     # A lost frame has no verdict worth counting: nothing was rejected there because nothing was tracked.

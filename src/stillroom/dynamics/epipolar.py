@@ -103,8 +103,9 @@ class EpipolarSieve:
 
     def is_off_its_line(self, stage: Stage, frame: Frame, matches: Matches, T_cam_world: F64, world: Map) -> Bool:
         """Tell which matches (M,) lie too far from the epipolar line of where their point was first seen."""
-        place, rows = world.observations(matches.point_id)
-        oldest = rows[np.flatnonzero(np.diff(place, append=len(matches)))]
+        if len(matches) == 0:
+            return np.zeros(0, dtype=np.bool_)
+        oldest = world.oldest_observations(matches.point_id)
         keyframe, which = np.unique(world.keypoints.keyframe[oldest], return_inverse=True)
         F = fundamental_from_motion(T_cam_world @ world.keyframes.T_world_cam[keyframe], frame.camera.K)
         first_px = world.keypoints.px[oldest].astype(np.float64)

@@ -9,7 +9,7 @@ from typing import Annotated, Any, TypeVar
 import typer
 
 from stillroom.benchmark.accuracy import Accuracy
-from stillroom.benchmark.trial import attempt
+from stillroom.benchmark.trial import attempt, poses_only
 from stillroom.cli.output.console import STDERR, say, show_log
 from stillroom.cli.output.frame_bar import FrameBar
 from stillroom.cli.output.tables import print_lines, print_table
@@ -77,7 +77,7 @@ class Bench:
             trials = []
             for seed in range(runs):
                 self.bar.label = f"{name}, seed {seed}"
-                trials.append(attempt(dataset, config, seed, self.bar, withheld))
+                trials.append(attempt(dataset, poses_only(config), seed, self.bar, withheld))
                 say(f"{name} on {dataset.name}, {trials[-1].line()}")
             return Accuracy(dataset.name, name, tuple(trials))
 

@@ -105,6 +105,19 @@ def count_by_keyframe(points: I32, row_next: I32, first_row: I32, row_keyframe: 
 
 
 @njit(nogil=True, cache=True)
+def oldest_rows(points: I32, row_next: I32, first_row: I32) -> I32:
+    """Return the row (N,) that saw each point (N,) first; −1 for a point that nothing sees. Lists run to the oldest."""
+    rows = np.empty(len(points), np.int32)
+    for i in range(len(points)):
+        row = first_row[points[i]]
+        rows[i] = row
+        while row >= 0:
+            rows[i] = row
+            row = row_next[row]
+    return rows
+
+
+@njit(nogil=True, cache=True)
 def typical_descriptors(points: I32, row_next: I32, first_row: I32, words: U64, chosen: I32) -> None:
     """Choose for each point the row whose descriptor has the least median distance to the others.
 

@@ -199,6 +199,11 @@ class Map:
         )
         return place, rows
 
+    def oldest_observations(self, point_ids: Ints) -> I32:
+        """Return the keypoint row (N,) that saw each point (N,) first; −1 for a point that nothing sees."""
+        rows: I32 = links.oldest_rows(point_ids.astype(np.int32), self.keypoints.next_row, self.points.first_row)
+        return rows
+
     def refresh(self, point_ids: Ints) -> None:
         """Choose typical descriptors and viewing geometry of points (N,) anew, after their views changed."""
         ids = point_ids.astype(np.int32)

@@ -43,9 +43,15 @@ class Sampler:
         """Rays are found at the first image."""
         self._camera: Camera | None = None
         self._rays = np.zeros((0, 0, 2))
+        self._last: tuple[Clusters, Samples] | None = None
 
     def take(self, frame: Frame, clusters: Clusters) -> Samples:
-        """Return the samples of a frame."""
+        """Return the samples of a frame; asked again for the same clusters, the same ones."""
+        if self._last is None or self._last[0] is not clusters:
+            self._last = (clusters, self._take(frame, clusters))
+        return self._last[1]
+
+    def _take(self, frame: Frame, clusters: Clusters) -> Samples:
         height, width = clusters.labels.shape
         if self._camera is not frame.camera or self._rays.shape[:2] != (-(-height // STEP_PX), -(-width // STEP_PX)):
             self._camera, self._rays = frame.camera, _rays(frame.camera, height, width)

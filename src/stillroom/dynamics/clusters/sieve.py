@@ -2,21 +2,21 @@
 
 from dataclasses import dataclass, field
 
-import cv2
 import numpy as np
 
-from stillroom.data.cloud.clusters import UNKNOWN, Clusters
+from stillroom.data.cloud.clusters import Clusters
 from stillroom.data.frame import Frame
 from stillroom.data.map import Map
 from stillroom.data.matches import Matches
 from stillroom.data.motion import Motion, Stage
 from stillroom.data.semantics import Semantics
 from stillroom.dynamics.clusters.belief import Belief
+from stillroom.dynamics.clusters.pixels import moving_pixels
 from stillroom.dynamics.clusters.samples import Sampler, Samples
 from stillroom.dynamics.depth_history import DepthHistory, DepthHistoryConfig
 from stillroom.dynamics.epipolar import EpipolarConfig
 from stillroom.geometry import se3
-from stillroom.geometry.arrays import F64, Bool
+from stillroom.geometry.arrays import F64
 from stillroom.protocols import Pending
 
 
@@ -50,6 +50,7 @@ class ClusterSieveConfig:
     boxes: EpipolarConfig = field(default_factory=EpipolarConfig)
     history: DepthHistoryConfig = field(default_factory=lambda: DepthHistoryConfig(ages_s=(0.3, 0.6, 1.2, 2.4)))
     gain: float = 1.5
+    points_half: float = 0.5
     suspicion: float = 0.5
     limit: float = 4.0
     min_known_share: float = 0.2
@@ -95,7 +96,7 @@ class ClusterSieve:
         if clusters is not None:
             samples = self._sampler.take(frame, clusters)
             belief = self._believe(frame, matches, clusters, samples, T_cam_world, world)
-            moving = _moving_pixels(clusters, belief, known.movable, self.config.margin_px)
+            moving = moving_pixels(clusters, belief, known.movable, self.config.margin_px)
             column, row = np.rint(frame.keypoints.raw_px).astype(np.int64).T
             moves = moving[row, column] & ~known.movable[row, column]  # in boxes their own sieve knows better
             labels = clusters.labels[row, column]
@@ -115,7 +116,9 @@ class ClusterSieve:
         """Return the log-odds (K,) that each cluster moves."""
         config = self.config
         inherited = self._belief.of(samples, len(clusters), T_cam_world, frame.camera, frame.timestamp_s)
-        failing = 2.0 * self._failing_points(frame, clusters, samples, T_cam_world) - 1.0
+        failing = self._failing_points(frame, clusters, samples, T_cam_world)
+        h = config.points_half
+        failing = np.where(failing > h, (failing - h) / (1.0 - h), (failing - h) / h)
         failing += np.maximum(0.0, 2.0 * self._failing_pairs(frame, matches, clusters, T_cam_world, world) - 1.0)
         belief = inherited + config.gain * failing + config.suspicion * (clusters.box >= 0)
         return np.asarray(np.clip(belief, -config.limit, config.limit))
@@ -128,7 +131,7 @@ class ClusterSieve:
         n = len(clusters)
         failing, holding = samples.count(n, fails), samples.count(n, holds)
         judged = failing + holding >= np.maximum(4.0, self.config.min_known_share * samples.count(n))
-        return np.where(judged, failing / np.maximum(failing + holding, 1.0), 0.5)
+        return np.where(judged, failing / np.maximum(failing + holding, 1.0), self.config.points_half)
 
     def _failing_pairs(self, frame: Frame, matches: Matches, clusters: Clusters, T_cam_world: F64, world: Map) -> F64:
         """Return the share (K,) of each cluster's matches that fail; ½ where there are too few."""
@@ -147,26 +150,3 @@ class ClusterSieve:
         n = np.bincount(cluster, minlength=len(clusters))
         share = np.bincount(cluster, fails, minlength=len(clusters)) / np.maximum(n, 1)
         return np.where(n >= self.config.min_pairs, share, 0.5)
-
-
-def _moving_pixels(clusters: Clusters, belief: F64, in_boxes: Bool, margin_px: int) -> Bool:
-    """Return the pixels (H, W) that move.
-
-    Those of moving clusters and of what stands in the boxes; of other clusters, what lies in a box and is not believed
-    static; and what is unknown beside all these.
-
-    Args:
-        clusters: The clusters.
-        belief: Their log-odds (K,).
-        in_boxes: Pixels in boxes (H, W).
-        margin_px: How far beside.
-    """
-    always = np.append((belief > 0) | (clusters.box >= 0), (False, False))  # labels −1 and −2 read the last two
-    moving = always[clusters.labels]
-    if in_boxes.any():
-        moving |= in_boxes & np.append(belief == 0, (False, False))[clusters.labels]
-    if not moving.any():
-        return moving
-    kernel = np.ones((2 * margin_px + 1, 2 * margin_px + 1), dtype=np.uint8)
-    near = cv2.dilate(moving.view(np.uint8), kernel).astype(np.bool_) & (clusters.labels == UNKNOWN)
-    return np.asarray(moving | near)

@@ -1,5 +1,7 @@
 """Depth images of simple shapes, without rendering."""
 
+from functools import lru_cache
+
 import numpy as np
 
 from stillroom.data.image import RgbdImage
@@ -10,6 +12,7 @@ CAMERA = Camera(160, 120, 130.0, 131.0, 79.0, 60.0)
 DISTORTED = Camera(160, 120, 130.0, 131.0, 79.0, 60.0, distortion=(0.05, -0.1, 0.001, -0.002, 0.01))
 
 
+@lru_cache(maxsize=4)
 def rays(camera: Camera) -> np.ndarray:
     """x/z, y/z, 1 of each pixel (H, W, 3)."""
     u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))

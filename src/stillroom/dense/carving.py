@@ -45,8 +45,8 @@ class CarvingConfig:
     tolerance_m: float = 0.05
     tolerance_share: float = 0.035
     hit: int = 2
-    lowest: int = -10
-    highest: int = 12
+    lowest: int = -6
+    highest: int = 6
     n_asked: int = 8
     every: int = 3
 
@@ -110,15 +110,23 @@ class Carver:
 
     def judge_frame(
         self, keyframe: int, T_keyframe_cam: F64, image: RgbdImage, excluded: Bool | None, T_world_cam: F64, now: int
-    ) -> None:
-        """Let a frame carve if its turn has come; it is remembered by its place beside a keyframe. Else as above."""
+    ) -> bool:
+        """Let a frame carve if its turn has come; tell whether it had.
+
+        Args:
+            keyframe: The keyframe that it is remembered by …
+            T_keyframe_cam: … and its pose in it (4, 4).
+            image, excluded, T_world_cam, now: See above.
+        """
         self._since_judged += 1
         self._since_frame_judged += 1
-        if self._since_judged >= self.config.every:
-            self._since_frame_judged = 0
-            depth = small_depth(image.depth_m, excluded, self._stride)
-            self._judge(depth, T_world_cam, now)
-            self._witnesses.remember(keyframe, T_keyframe_cam, T_world_cam, depth)
+        if self._since_judged < self.config.every:
+            return False
+        self._since_frame_judged = 0
+        depth = small_depth(image.depth_m, excluded, self._stride)
+        self._judge(depth, T_world_cam, now)
+        self._witnesses.remember(keyframe, T_keyframe_cam, T_world_cam, depth)
+        return True
 
     def ask_earlier(self, newborn: I32) -> None:
         """Give voxels (M,) that were empty the score that remembered images give them, in order of time."""
@@ -126,7 +134,8 @@ class Carver:
         rows = newborn[voxels.weight[newborn] > 0]
         if len(rows) == 0:
             return
-        voxels.score[rows] = config.hit  # the image that they come from
+        voxels.score[rows] = 0
+        heard = np.zeros(len(rows), dtype=np.bool_)
         positions_m = mean_positions(rows, voxels.key, voxels.rows, voxels.voxel_m)
         for T_cam_world, depth in self._witnesses.choose(positions_m, self._far_m, config.n_asked, self.world):
             judge_rows(
@@ -139,7 +148,9 @@ class Carver:
                 *self._seeing,
                 config.hit,
                 self._limits,
+                heard,
             )
+        voxels.score[rows[~heard]] = 1  # nobody has said anything against these
 
     def _judge(self, depth: U16, T_world_cam: F64, now: int) -> None:
         """Let a small depth image (h, w) judge what is in view."""

@@ -126,9 +126,11 @@ class DenseMapper:
             return
         keyframe, removal = self._last_keyframe, self.config.carving.removal
         T_keyframe_cam = se3.inverse(self.world.keyframe_pose(keyframe)) @ T_world_cam
-        if removal:
-            self._carver.judge_frame(keyframe, T_keyframe_cam, image, excluded, T_world_cam, self._tick())
         self._since_fused += 1
+        if removal and not self._carver.judge_frame(
+            keyframe, T_keyframe_cam, image, excluded, T_world_cam, self._tick()
+        ):
+            return
         if 0 < self.config.fuse_every <= self._since_fused:
             self._fuse(self._views.new(keyframe, T_keyframe_cam), image, excluded, T_world_cam)
             if removal:

@@ -66,7 +66,7 @@ class Witnesses:
     @property
     def n_bytes(self) -> int:
         """Memory that is held."""
-        return sum(witness.depth.nbytes for witness in self._all)
+        return len(self._all) * self._all[0].depth.nbytes if self._all else 0
 
     def remember(self, keyframe: int, T_keyframe_cam: F64, T_world_cam: F64, depth: U16) -> None:
         """Keep a small depth image (h, w) as `small_depth` gives it."""

@@ -149,12 +149,17 @@ def judge_rows(
     share: float,
     gain: int,
     limits: tuple[int, int],
+    heard: Bool,
 ) -> None:
-    """Let a depth image judge chosen rows (M,) at positions (M, 3); nothing is voided. Else as `judge_in_view`."""
+    """Let a depth image judge chosen rows (M,) at positions (M, 3), and note of which it said something (M,).
+
+    Nothing is voided. The other arguments are those of `judge_in_view`.
+    """
     for i in range(len(chosen)):
         X, Y, Z = positions_m[i]
         answer = look(X, Y, Z, T_cam_world, lens, views, unit_m, stride, tolerance_m, share)
         row = chosen[i]
+        heard[i] |= answer != NOTHING
         if answer == HIT:
             rows[row, SCORE] = min(limits[1], rows[row, SCORE] + gain)
         elif answer == PASSED:

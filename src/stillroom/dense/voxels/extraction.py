@@ -30,7 +30,7 @@ def extract(key: I64, rows: I32, voxel_m: float, reach: int) -> DenseCloud:
     if reach > 0:
         n_slots = 1 << int(np.ceil(np.log2(2 * len(key) + 2)))
         slot_key, slot_row = np.full(n_slots, EMPTY, dtype=np.int64), np.zeros(n_slots, dtype=np.int32)
-        enter_rows(key, slot_key, slot_row)
+        enter_rows(key, 0, slot_key, slot_row)
         positions_m, is_top = to_one_layer(positions_m, normals, weight, slot_key, slot_row, voxel_m, reach)
     else:
         is_top = np.ones(len(key), dtype=np.bool_)

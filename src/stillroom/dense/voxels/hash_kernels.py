@@ -35,9 +35,9 @@ def find_slot(key: int, slot_key: I64) -> int:
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def enter_rows(keys: I64, slot_key: I64, slot_row: I32) -> None:
-    """Enter rows 0 … N−1 with keys (N,), all different, into an empty table whose length is a power of two."""
-    for row in range(len(keys)):
+def enter_rows(keys: I64, first_row: int, slot_key: I64, slot_row: I32) -> None:
+    """Enter the rows from `first_row` on, of keys (N,), none of which is there yet; the length is a power of two."""
+    for row in range(first_row, len(keys)):
         slot = find_slot(keys[row], slot_key)
         slot_key[slot] = keys[row]
         slot_row[slot] = row

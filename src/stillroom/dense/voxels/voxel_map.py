@@ -186,7 +186,7 @@ class VoxelMap:
         self.key[before:] = key
         self.rows[before:] = rows
         self._number_blocks(before)
-        self._rehash(len(self._slot_key))
+        enter_rows(self.key, before, self._slot_key, self._slot_row)
 
     def keep_rows(self, kept: Bool) -> None:
         """Remove all rows but those to keep (N,), and give back the memory."""
@@ -210,7 +210,7 @@ class VoxelMap:
     def _rehash(self, n_slots: int) -> None:
         self._slot_key = np.full(n_slots, EMPTY, dtype=np.int64)
         self._slot_row = np.zeros(n_slots, dtype=np.int32)
-        enter_rows(self.key, self._slot_key, self._slot_row)
+        enter_rows(self.key, 0, self._slot_key, self._slot_row)
 
     def _number_blocks(self, first_row: int) -> None:
         """Give the rows from `first_row` on their blocks, numbered as they come."""

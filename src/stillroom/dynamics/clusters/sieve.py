@@ -19,6 +19,9 @@ from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64
 from stillroom.protocols import Pending
 
+SAME_M, SAME_RAD = 0.01, 0.003
+"""Poses this close to each other see the same past: a centimetre at three metres."""
+
 
 @dataclass(frozen=True)
 class ClusterSieveConfig:
@@ -66,6 +69,28 @@ class ClusterSieveConfig:
         return ClusterSieve(self, seed)
 
 
+@dataclass(frozen=True)
+class _Past:
+    """What earlier images say of the clusters of one image, seen from a pose.
+
+    Attributes:
+        clusters, T_cam_world: Of whom, and from where.
+        inherited: Log-odds that come with them (K,).
+        failing: Share of their points where it was empty before (K,), ½ where unknown.
+    """
+
+    clusters: Clusters
+    T_cam_world: F64
+    inherited: F64
+    failing: F64
+
+    def holds_for(self, clusters: Clusters, T_cam_world: F64) -> bool:
+        """Tell whether another pose would hear the same: within what depth is compared to."""
+        change = T_cam_world @ se3.inverse(self.T_cam_world)
+        near = float(np.linalg.norm(change[:3, 3])) < SAME_M and float(np.trace(change[:3, :3])) > 3.0 - SAME_RAD**2
+        return self.clusters is clusters and near
+
+
 class ClusterSieve:
     """Sieve 2 of the whole `oc-slam`."""
 
@@ -76,6 +101,7 @@ class ClusterSieve:
         self._history = DepthHistory(config.history)
         self._sampler = Sampler()
         self._belief = Belief(config.fades_in_s, config.reach_m)
+        self._past: _Past | None = None
 
     def judge(
         self,
@@ -114,14 +140,20 @@ class ClusterSieve:
         self, frame: Frame, matches: Matches, clusters: Clusters, samples: Samples, T_cam_world: F64, world: Map
     ) -> F64:
         """Return the log-odds (K,) that each cluster moves."""
-        config = self.config
-        inherited = self._belief.of(samples, len(clusters), T_cam_world, frame.camera, frame.timestamp_s)
-        failing = self._failing_points(frame, clusters, samples, T_cam_world)
+        config, past = self.config, self._past_of(frame, clusters, samples, T_cam_world)
         h = config.points_half
-        failing = np.where(failing > h, (failing - h) / (1.0 - h), (failing - h) / h)
+        failing = np.where(past.failing > h, (past.failing - h) / (1.0 - h), (past.failing - h) / h)
         failing += np.maximum(0.0, 2.0 * self._failing_pairs(frame, matches, clusters, T_cam_world, world) - 1.0)
-        belief = inherited + config.gain * failing + config.suspicion * (clusters.box >= 0)
+        belief = past.inherited + config.gain * failing + config.suspicion * (clusters.box >= 0)
         return np.asarray(np.clip(belief, -config.limit, config.limit))
+
+    def _past_of(self, frame: Frame, clusters: Clusters, samples: Samples, T_cam_world: F64) -> "_Past":
+        """Return what earlier images say; asked again from nearly the same pose, what they said before."""
+        if self._past is None or not self._past.holds_for(clusters, T_cam_world):
+            inherited = self._belief.of(samples, len(clusters), T_cam_world, frame.camera, frame.timestamp_s)
+            failing = self._failing_points(frame, clusters, samples, T_cam_world)
+            self._past = _Past(clusters, T_cam_world.copy(), inherited, failing)
+        return self._past
 
     def _failing_points(self, frame: Frame, clusters: Clusters, samples: Samples, T_cam_world: F64) -> F64:
         """Return the share (K,) of each cluster's points that lie where it was empty before; ½ where unknown."""

@@ -160,12 +160,8 @@ def _contacts(piece_of: I32, z_m: F32, limits: SegmentLimits) -> list[tuple[int,
 
 def _bounds(piece_of: I32, grid: RayGrid, n: int) -> tuple[F64, F64]:
     """Return the corners of the image boxes around n pieces (n, 2) each [px]."""
-    row, column = np.nonzero(piece_of >= 0)
-    piece = piece_of[row, column]
-    px = np.stack((grid.columns[column], grid.rows[row]), axis=1).astype(np.float64)
     low, high = np.full((n, 2), np.inf), np.full((n, 2), -np.inf)
-    np.minimum.at(low, piece, px)
-    np.maximum.at(high, piece, px)
+    stretch(piece_of, grid.columns.astype(np.float64), grid.rows.astype(np.float64), low, high)
     return low, high
 
 
@@ -185,6 +181,19 @@ def _largest_first(pieces: _Pieces, target: I32, piece_of: I32, limits: SegmentL
         lower_m=lower.astype(np.float32),
         upper_m=upper.astype(np.float32),
     )
+
+
+@njit(nogil=True, cache=True)
+def stretch(piece_of: I32, columns_px: F64, rows_px: F64, low: F64, high: F64) -> None:
+    """Move the corners `low` and `high` (n, 2) of the pieces' boxes apart until all samples (h, w) lie in them."""
+    for row in range(piece_of.shape[0]):
+        for column in range(piece_of.shape[1]):
+            piece = piece_of[row, column]
+            if piece >= 0:
+                low[piece, 0] = min(low[piece, 0], columns_px[column])
+                low[piece, 1] = min(low[piece, 1], rows_px[row])
+                high[piece, 0] = max(high[piece, 0], columns_px[column])
+                high[piece, 1] = max(high[piece, 1], rows_px[row])
 
 
 @njit(nogil=True, cache=True)

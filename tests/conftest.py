@@ -44,7 +44,13 @@ def yolo_weights() -> Path:
     return _required("STILLROOM_MODELS", "models", "yolo_fastest")
 
 
-REAL_FIXTURES = {"bonn", "freiburg1", "yolo_weights"}
+@pytest.fixture(scope="session")
+def deeplab() -> Path:
+    """DeepLabv3 on MobileNetV2, an ONNX file with the 21 VOC classes."""
+    return _required("STILLROOM_MODELS", "models", "deeplabv3_mobilenetv2_voc.onnx")
+
+
+REAL_FIXTURES = {"bonn", "freiburg1", "yolo_weights", "deeplab"}
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

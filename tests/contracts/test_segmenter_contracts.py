@@ -7,13 +7,16 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from red_network import red_config, reddened, save_red_network
 
 from stillroom.data.image import RgbdImage
 from stillroom.data.semantics import Box, Semantics
+from stillroom.datasets.open import open_dataset
 from stillroom.protocols import Segmenter
 from stillroom.semantics.carried_boxes import CarriedBoxes, CarryConfig
 from stillroom.semantics.detector_off import withhold
 from stillroom.semantics.mask_files import MaskFilesConfig
+from stillroom.semantics.masks.onnx_masks import OnnxMasksConfig
 from stillroom.semantics.nothing import NothingConfig
 from stillroom.semantics.truth import TruthConfig
 from stillroom.semantics.yolo_fastest import YoloFastestConfig
@@ -102,6 +105,22 @@ def test_yolo_fastest_keeps_the_contract(variant: str, carry: bool, yolo_weights
     config = YoloFastestConfig(variant, folder=str(yolo_weights), carry=CarryConfig(enabled=carry))
     answers = check_segmenter(config.build, images)
     assert all(answer.boxes for answer in answers)
+
+
+@pytest.mark.parametrize(("every", "latency_frames"), [(1, 0), (2, 1)])
+def test_a_network_keeps_the_contract(every: int, latency_frames: int, tmp_path: Path) -> None:
+    model = save_red_network(tmp_path / "red.onnx")
+    config = red_config(model, every=every, latency_frames=latency_frames)
+    answers = check_segmenter(config.build, [reddened(image) for image in a_walk()])
+    assert all(answer.boxes and answer.mask.any() for answer in answers)
+    assert max(box.carried for answer in answers for box in answer.boxes) == (0 if every == 1 else 2)
+
+
+def test_onnx_masks_keep_the_contract(deeplab: Path, bonn: Path) -> None:
+    dataset = open_dataset(str(bonn))
+    config = OnnxMasksConfig(deeplab, every=2, latency_frames=1)
+    answers = check_segmenter(config.build, [dataset.load(index) for index in range(420, 424)])
+    assert all(answer.boxes and answer.mask.any() for answer in answers)
 
 
 class Fine:

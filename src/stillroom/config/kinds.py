@@ -24,6 +24,7 @@ from stillroom.geometry.camera import Camera
 from stillroom.protocols import Clusterer, DenseMapping, KeypointSieve, MatchSieve, Segmenter
 from stillroom.semantics.depth_clusters import DepthClustersConfig, NoClustersConfig
 from stillroom.semantics.mask_files import MaskFilesConfig
+from stillroom.semantics.masks.onnx_masks import OnnxMasksConfig
 from stillroom.semantics.nothing import NothingConfig
 from stillroom.semantics.truth import TruthConfig
 from stillroom.semantics.yolo_fastest import YoloFastestConfig
@@ -118,6 +119,7 @@ SEMANTICS = Kinds(
     {
         "nothing": NothingConfig,
         "yolo-fastest": YoloFastestConfig,
+        "onnx-masks": OnnxMasksConfig,
         "mask-files": MaskFilesConfig,
         "truth": TruthConfig,
     },

@@ -1,0 +1,149 @@
+"""Any ONNX segmentation network says what may move: the semantic thread of PSPNet-SLAM (III.A) and DynaSLAM."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from stillroom.data.image import RgbdImage
+from stillroom.data.locations import cache_folder, models_folder, models_home
+from stillroom.data.semantics import Semantics
+from stillroom.errors import ConfigError, WeightsError
+from stillroom.protocols import Segmenter
+from stillroom.semantics.masks.carry import MaskCarryConfig
+from stillroom.semantics.masks.class_names import VOC_CLASSES, channels_of
+from stillroom.semantics.masks.late import LateMasks
+from stillroom.semantics.masks.network import LOGITS, PROBABILITIES, Reading, SegmentationNetwork
+from stillroom.semantics.masks.refine import RefineConfig
+from stillroom.semantics.masks.regions import RegionsConfig, as_semantics, without_specks
+from stillroom.semantics.masks.segments import HalfImage, Segments
+
+DEEPLAB = "deeplabv3_mobilenetv2_voc.onnx"
+"""The network where none is named: DeepLabv3 on MobileNetV2, VOC classes."""
+
+
+@dataclass(frozen=True)
+class OnnxMasksConfig:
+    """Which network says what may move, and what it is asked.
+
+    The network takes one image, (1, 3, height, width) or (1, height, width, 3), and tells a score of each class for
+    each pixel, (1, classes, h, w) or (1, h, w, classes), or the number of the best class, (1, h, w).
+
+    Attributes:
+        model: The ONNX file; a bare name is sought in the models' usual places. Empty is DeepLabv3-MobileNetV2.
+        classes: Names of the network's classes in the order of its channels.
+        movable: Names of the classes that may move.
+        probability: From here on a pixel is of a movable class; the movable classes' probabilities count together.
+        every: The network sees every n-th image; to those between, masks are carried.
+        latency_frames: How many images after the one that it saw the network's answer becomes known.
+        longer_side_px: Longer side of the network's input where the file leaves its size open [px].
+        step_px, offset_px: Sides of the input are a multiple of `step_px`, plus `offset_px` [px].
+        mean, std: Subtracted from the colours, which are RGB in 0–255, and divided by.
+        bgr: Whether the network wants blue first.
+        scores: What the network tells: "logits" or "probabilities". Whole numbers are the best class in any case.
+        refine: How borders are mended by depth.
+        carry: How masks are carried.
+        regions: What is told of the regions.
+    """
+
+    model: Path | None = None
+    classes: tuple[str, ...] = VOC_CLASSES
+    movable: tuple[str, ...] = ("person",)
+    probability: float = 0.5
+    every: int = 1
+    latency_frames: int = 0
+    longer_side_px: int = 321
+    step_px: int = 16
+    offset_px: int = 1
+    mean: tuple[float, float, float] = (127.5, 127.5, 127.5)
+    std: tuple[float, float, float] = (127.5, 127.5, 127.5)
+    bgr: bool = False
+    scores: str = LOGITS
+    refine: RefineConfig = field(default_factory=RefineConfig)
+    carry: MaskCarryConfig = field(default_factory=MaskCarryConfig)
+    regions: RegionsConfig = field(default_factory=RegionsConfig)
+
+    def build(self) -> Segmenter:
+        """Return the segmenter.
+
+        Raises:
+            ConfigError: A value is impossible, or a class is not among the network's.
+            WeightsError: The network's file is absent, or it is not a network of this kind.
+        """
+        self.check()
+        channels = channels_of(self.movable, self.classes)
+        network = SegmentationNetwork(find_model(self.model), channels, len(self.classes), self._reading())
+        return OnnxMasks(network, self)
+
+    def check(self) -> None:
+        """Refuse impossible values.
+
+        Raises:
+            ConfigError: Names the key.
+        """
+        for key in ("every", "longer_side_px", "step_px"):
+            if getattr(self, key) < 1:
+                raise ConfigError(f"{key} is {getattr(self, key)}; it must be 1 or more")
+        for key in ("latency_frames", "offset_px"):
+            if getattr(self, key) < 0:
+                raise ConfigError(f"{key} is {getattr(self, key)}; it must not be negative")
+        if not 0.0 < self.probability <= 1.0:
+            raise ConfigError(f"probability is {self.probability}; it must be above 0 and at most 1")
+        if min(self.std) <= 0.0:
+            raise ConfigError(f"std is {self.std}; its values must be above 0")
+        if self.scores not in (LOGITS, PROBABILITIES):
+            raise ConfigError(f"scores is '{self.scores}'; it must be '{LOGITS}' or '{PROBABILITIES}'")
+        self.refine.check()
+        self.carry.check()
+        self.regions.check()
+
+    def _reading(self) -> Reading:
+        return Reading(self.longer_side_px, self.step_px, self.offset_px, self.mean, self.std, self.bgr, self.scores)
+
+
+def find_model(named: Path | None) -> Path:
+    """Return the network's file.
+
+    Raises:
+        WeightsError: There is none; the message says where it was looked for.
+    """
+    if named is not None and named.is_file():
+        return named
+    name = DEEPLAB if named is None else str(named)
+    found = models_folder(name)
+    if found is not None and found.is_file():
+        return found
+    places = list(dict.fromkeys((models_home(), cache_folder() / "models", Path("../shared/models"))))
+    looked = ([] if named is None else [name]) + [str(place / name) for place in places]
+    raise WeightsError(
+        f"no such network: {', '.join(looked)}; set semantics.model to an ONNX file, "
+        f"or STILLROOM_MODELS to the folder that holds {Path(name).name}"
+    )
+
+
+class OnnxMasks:
+    """A network's masks, mended by depth, and carried where it is late."""
+
+    def __init__(self, network: SegmentationNetwork, config: OnnxMasksConfig) -> None:
+        """Start without a past."""
+        self._network = network
+        self._config = config
+        self._masks = LateMasks(self.see, config.every, config.latency_frames, config.carry, config.refine)
+
+    def __call__(self, image: RgbdImage) -> Semantics:
+        """Return what may move in the image.
+
+        Raises:
+            WeightsError: The network's output is not what its classes promise.
+        """
+        known, config = self._masks(image), self._config
+        segments = without_specks(known.segments, config.regions.min_px)
+        return as_semantics(segments, config.movable, image.height, image.width, known.age, config.regions)
+
+    def see(self, image: RgbdImage, view: HalfImage) -> Segments:
+        """Return what the network alone says of one image, at half size."""
+        rows, columns = view.shape
+        likely = self._network.probabilities(image.rgb, columns, rows)
+        together = np.minimum(likely.sum(axis=0), 1.0)
+        label = np.where(together >= self._config.probability, 1 + likely.argmax(axis=0), 0)
+        return Segments(label.astype(np.uint8), together)

@@ -1,0 +1,121 @@
+"""Mend the border of a mask by depth: a network sees people, a depth camera sees where they end."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from stillroom.errors import ConfigError
+from stillroom.geometry.arrays import F32, U8, Bool
+from stillroom.semantics.masks.segments import Segments
+
+FEWEST = 12
+"""Pixels of known depth near a pixel, of which something can be said about the depth there."""
+FAR_M = 0.6
+"""What is this far from the mean depth around it does not count in the mean that is used."""
+
+
+@dataclass(frozen=True)
+class RefineConfig:
+    """How the border of a mask is mended.
+
+    Attributes:
+        enabled: Whether at all.
+        band_px: How far from the mask's border pixels change sides [px].
+        window_px: Side of the square around a pixel in which the depths of body and background are looked up [px].
+        jump_m: A pixel that is this much nearer or farther than the body around it does not belong to it [m].
+        near_m: A pixel beside the mask belongs to the body when it is this near to its depth [m].
+    """
+
+    enabled: bool = True
+    band_px: int = 10
+    window_px: int = 50
+    jump_m: float = 0.30
+    near_m: float = 0.30
+
+    def check(self) -> None:
+        """Refuse impossible values.
+
+        Raises:
+            ConfigError: Names the key.
+        """
+        for key in ("band_px", "window_px", "jump_m", "near_m"):
+            if getattr(self, key) < 0:
+                raise ConfigError(f"refine.{key} is {getattr(self, key)}; it must not be negative")
+        if self.window_px <= self.band_px:
+            raise ConfigError(f"refine.window_px is {self.window_px}; it must be above band_px, {self.band_px}")
+
+
+def refined(segments: Segments, depth_m: F32, config: RefineConfig) -> Segments:
+    """Move the border of a mask to where the depth jumps.
+
+    Each pixel near the border is compared with the mean depth of the body around it (what lies well inside of the
+    mask) and of the background around it (what lies well outside). Where the two differ, the pixel goes to the one
+    that it is like: those of the mask that jump away from the body go, those beside it at the body's depth come in.
+    Where they do not, as where feet stand on the floor, and where depth is unknown, the network has the last word.
+
+    Args:
+        segments: What may move, at half size.
+        depth_m: Depth (h, w) [m] on the same pixels.
+        config: Sizes in pixels of the whole image.
+    """
+    if not config.enabled or not segments.has_any:
+        return segments
+    band_px, window_px = max(config.band_px // 2, 1), max(config.window_px // 2, 3)
+    around = _surroundings(segments.label, band_px + window_px)
+    label, depth_m = segments.label[around], depth_m[around]
+    mask = label > 0
+    known = depth_m > 0
+    inner = cv2.erode(mask.view(np.uint8), _disc(band_px), borderType=cv2.BORDER_REPLICATE) != 0
+    outer = cv2.dilate(mask.view(np.uint8), _disc(band_px)) == 0
+    body_m, has_body = _mean_depth(depth_m, inner & known, window_px)
+    ground_m, has_ground = _mean_depth(depth_m, outer & known, window_px)
+    to_body, to_ground = np.abs(depth_m - body_m), np.abs(depth_m - ground_m)
+    in_band = known & has_body & ~inner & ~outer
+    # An arm may be off the body's mean as far as a table beside it is: only what is clearly like the background goes.
+    goes = in_band & mask & (to_body > config.jump_m) & has_ground & (2.0 * to_ground < to_body)
+    comes = in_band & ~mask & (to_body < config.near_m) & (~has_ground | (to_ground > config.jump_m))
+    return _changed(segments, around, goes, comes, band_px)
+
+
+def _changed(segments: Segments, around: tuple[slice, slice], goes: Bool, comes: Bool, band_px: int) -> Segments:
+    """Return segments without some pixels, and with others, which take the label of what is next to them."""
+    label, probability = segments.label.copy(), segments.probability.copy()
+    part, likely = label[around], probability[around]
+    grown = cv2.dilate(part, _disc(band_px))
+    part[goes] = 0
+    part[comes] = grown[comes]
+    likely[comes] = np.maximum(likely[comes], 0.5)
+    likely[goes] = np.minimum(likely[goes], 0.49)
+    return Segments(label, probability)
+
+
+def _mean_depth(depth_m: F32, where: Bool, window_px: int) -> tuple[F32, Bool]:
+    """Return the mean depth [m] of some pixels around each, twice: the second time without what is far from the first.
+
+    Returns:
+        The depths (h, w), and where there are enough pixels to tell.
+    """
+    rough_m, _ = _window_mean(depth_m, where, window_px)
+    return _window_mean(depth_m, where & (np.abs(depth_m - rough_m) < FAR_M), window_px)
+
+
+def _window_mean(depth_m: F32, where: Bool, window_px: int) -> tuple[F32, Bool]:
+    size = (window_px, window_px)
+    weight = where.astype(np.float32)
+    count = cv2.boxFilter(weight, -1, size, normalize=False, borderType=cv2.BORDER_CONSTANT)
+    total = cv2.boxFilter(weight * depth_m, -1, size, normalize=False, borderType=cv2.BORDER_CONSTANT)
+    enough = np.asarray(count > FEWEST - 0.5)
+    return np.asarray(total / np.maximum(count, 1.0), dtype=np.float32), enough
+
+
+def _surroundings(label: U8, margin_px: int) -> tuple[slice, slice]:
+    """Return the rows and columns in which anything is, and some around them."""
+    x, y, width, height = cv2.boundingRect(label)
+    rows = slice(max(y - margin_px, 0), min(y + height + margin_px, label.shape[0]))
+    return rows, slice(max(x - margin_px, 0), min(x + width + margin_px, label.shape[1]))
+
+
+def _disc(radius_px: int) -> U8:
+    side = 2 * radius_px + 1
+    return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side)), dtype=np.uint8)

@@ -1,0 +1,89 @@
+"""From segments to what tracking reads: a grown mask of the whole image, and a box around each region."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from stillroom.data.semantics import Box, Semantics, nothing
+from stillroom.errors import ConfigError
+from stillroom.semantics.masks.segments import Segments
+
+
+@dataclass(frozen=True)
+class RegionsConfig:
+    """What is told of the regions.
+
+    Attributes:
+        min_px: Smallest region that counts [px of the whole image].
+        dilate_px: By how much the mask is grown [px]; corners on a border belong to nobody (REFERENCE 2.1: 15).
+        boxes: Whether each region becomes a box, too; boxes are not grown.
+    """
+
+    min_px: int = 400
+    dilate_px: int = 5
+    boxes: bool = True
+
+    def check(self) -> None:
+        """Refuse impossible values.
+
+        Raises:
+            ConfigError: Names the key.
+        """
+        for key in ("min_px", "dilate_px"):
+            if getattr(self, key) < 0:
+                raise ConfigError(f"regions.{key} is {getattr(self, key)}; it must not be negative")
+
+
+def without_specks(segments: Segments, min_px: int) -> Segments:
+    """Return segments without regions smaller than so many pixels of the whole image."""
+    if not segments.has_any or min_px == 0:
+        return segments
+    _, region, statistics, _ = cv2.connectedComponentsWithStats(segments.mask.view(np.uint8), connectivity=8)
+    counts = 4 * statistics[:, cv2.CC_STAT_AREA] >= min_px
+    counts[0] = False
+    return Segments(np.where(counts[region], segments.label, 0).astype(np.uint8), segments.probability)
+
+
+def as_semantics(
+    segments: Segments, names: tuple[str, ...], height: int, width: int, age: int, config: RegionsConfig
+) -> Semantics:
+    """Return segments as semantics of an image.
+
+    Args:
+        segments: What may move, at half size.
+        names: The movable classes.
+        height: Rows of the image.
+        width: Its columns.
+        age: How many frames ago the network saw what the segments come from.
+        config: What is told.
+    """
+    if not segments.has_any:
+        return nothing(height, width)
+    boxes = _boxes(segments, names, height, width, age) if config.boxes else ()
+    soft = cv2.resize(segments.mask.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR)
+    mask = np.asarray(soft) >= 0.5
+    if config.dilate_px:
+        side = 2 * config.dilate_px + 1
+        disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
+        mask = np.asarray(cv2.dilate(mask.view(np.uint8), disc)) != 0
+    return Semantics(height, width, boxes, mask)
+
+
+def _boxes(segments: Segments, names: tuple[str, ...], height: int, width: int, age: int) -> tuple[Box, ...]:
+    """Return the box around each region of a class, the largest first; its confidence is the mean probability."""
+    found = []
+    for number in np.unique(segments.label[segments.mask]).tolist():
+        of_class = (segments.label == number).astype(np.uint8)
+        count, region, statistics, _ = cv2.connectedComponentsWithStats(of_class, connectivity=8)
+        area = statistics[:, cv2.CC_STAT_AREA]
+        sums = np.bincount(region.ravel(), segments.probability.ravel(), minlength=count)
+        for k in range(1, count):
+            x, y, columns, rows = statistics[k, :4].tolist()
+            # A pixel of the half image is two of the whole one; a last odd row or column belongs to the last of them.
+            x1 = width - 1 if x + columns == segments.label.shape[1] else 2 * (x + columns) - 1
+            y1 = height - 1 if y + rows == segments.label.shape[0] else 2 * (y + rows) - 1
+            confidence = float(np.clip(sums[k] / area[k], 0.0, 1.0))
+            found.append((int(area[k]), Box(2.0 * x, 2.0 * y, x1, y1, names[number - 1], confidence, age)))
+    found.sort(key=lambda pair: -pair[0])
+    return tuple(box for _, box in found)

@@ -1,0 +1,83 @@
+"""The nouns of this package: an image at half its size, and which of its pixels may move."""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import cv2
+import numpy as np
+
+from stillroom.data.image import RgbdImage
+from stillroom.geometry.arrays import F32, U8, Bool
+
+SMALLEST_SIDE_PX = 32
+"""Of an image whose flow can be measured; in smaller ones nothing is taken to move."""
+
+
+@dataclass(frozen=True, eq=False)
+class HalfImage:
+    """An image at half its size: a quarter of the work, and still finer than the borders of any network's mask.
+
+    Attributes:
+        index: Place of the image in its sequence.
+        gray: Brightness (h, w) uint8, mean of four pixels.
+        depth_m: Depth (h, w) float32 [m] of one of the four, so that no depth is made up; 0 where unknown.
+    """
+
+    index: int
+    gray: U8
+    depth_m: F32
+    _flows: dict[int, F32] = field(default_factory=dict, repr=False)
+
+    @staticmethod
+    def of(image: RgbdImage) -> "HalfImage":
+        """Return an image at half its size; a last odd row or column is left out."""
+        rows, columns = max(image.height // 2, 1), max(image.width // 2, 1)
+        gray = cv2.resize(image.gray[: 2 * rows, : 2 * columns], (columns, rows), interpolation=cv2.INTER_AREA)
+        depth_m = np.ascontiguousarray(image.depth_m[::2, ::2][:rows, :columns])
+        return HalfImage(image.index, np.asarray(gray, dtype=np.uint8), depth_m)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return self.gray.shape[0], self.gray.shape[1]
+
+    def flow_to(self, earlier: "HalfImage") -> F32:
+        """Return where each pixel was in an earlier image of the same size, relative to here (h, w, 2) [px].
+
+        Measured once: a mask that becomes known later passes over the same pair of images again.
+        """
+        if earlier.index not in self._flows:
+            self._flows[earlier.index] = _flow(self.gray, earlier.gray)
+        return self._flows[earlier.index]
+
+
+@dataclass(frozen=True, eq=False)
+class Segments:
+    """Which pixels of an image, at half its size, may move.
+
+    Attributes:
+        label: 0 where nothing may move, i where the i-th of the movable classes is, counted from 1 (h, w) uint8.
+        probability: How likely it is of a movable class at all (h, w) float32.
+    """
+
+    label: U8
+    probability: F32
+
+    @cached_property
+    def mask(self) -> Bool:
+        """Pixels that may move (h, w)."""
+        return np.asarray(self.label > 0)
+
+    @cached_property
+    def has_any(self) -> bool:
+        """Whether anything may move."""
+        return bool(self.label.any())
+
+
+def _flow(now: U8, earlier: U8) -> F32:
+    """Return the dense flow from one image to another (h, w, 2) [px] (Kroeger et al., ECCV 2016)."""
+    if min(now.shape) < SMALLEST_SIDE_PX:
+        return np.zeros((*now.shape, 2), dtype=np.float32)
+    dense = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_FAST)
+    start = np.zeros((*now.shape, 2), dtype=np.float32)
+    return np.asarray(dense.calc(now, earlier, start), dtype=np.float32)

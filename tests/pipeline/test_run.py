@@ -120,7 +120,8 @@ def test_every_frame_is_listed(finished: RunOutcome) -> None:
 def test_every_frame_is_timed(finished: RunOutcome) -> None:
     rows = rows_of(folder_of(finished) / "timing.csv")
     assert [int(row["frame"]) for row in rows] == list(range(45))
-    stages = {"semantics", "features", "tracking", "keyframe", "mapping", "dynamics", "frame", "loading"}
+    stages = {"loading", "frame", "semantics", "clusters", "features", "tracking", "dynamics", "keyframe", "mapping"}
+    stages |= {"dense", "carving"}
     assert {name.removesuffix("_wall_ms") for name in rows[0] if name.endswith("_wall_ms")} == stages
     for row in rows:
         parts = sum(float(row[f"{name}_wall_ms"] or 0) for name in ("semantics", "features", "tracking", "mapping"))
@@ -155,7 +156,7 @@ def test_figures_are_those_of_the_trajectory(finished: RunOutcome, room: Dataset
 def test_pictures_are_pictures(finished: RunOutcome) -> None:
     frames = {"frame_00007.png", "frame_00022.png", "frame_00037.png"}
     plots = {"trajectory_above.png", "trajectory_over_time.png", "error.png"}
-    assert {path.name for path in finished.pictures} == frames | plots
+    assert {path.name for path in finished.pictures} == frames | plots | {"sparse_map.png"}
     for path in finished.pictures:
         picture = cv2.imread(str(path))
         assert picture is not None

@@ -15,6 +15,7 @@ from stillroom.dense.carving import CarvingConfig
 from stillroom.dense.dense_mapper import MB, DenseMapper, DenseMapperConfig
 from stillroom.dense.keyframe_cloud import SurfaceConfig
 from stillroom.dense.voxels.fusing_kernels import SCORE
+from stillroom.errors import ConfigError
 from stillroom.geometry import se3
 
 PLAIN = DenseMapperConfig(carving=CarvingConfig(removal=False))
@@ -261,8 +262,9 @@ def walk(config: DenseMapperConfig, n: int, every: int = 1) -> tuple[DenseMapper
 
 
 def test_two_thousand_keyframes_stay_within_the_bound() -> None:
-    mapper, most_mb = walk(SMALL, 2000)
-    assert most_mb <= SMALL.max_memory_mb
+    small = replace(SMALL, max_memory_mb=8.0, surface=SurfaceConfig(far_m=3.0, stride=4))
+    mapper, most_mb = walk(small, 2000)
+    assert most_mb <= small.max_memory_mb
     assert len(mapper._swapped) > 100
     assert mapper._clouds.n_swapped > 1000
     points = mapper.cloud().positions_m
@@ -360,3 +362,20 @@ def test_impossible_poses_are_passed_over(where: float) -> None:
     assert {key: row for key, row in sums(mapper).items() if key in before} == before
     mapper.integrate(2, image(flat(2.0)))
     assert len(mapper.cloud()) > 500
+
+
+@pytest.mark.parametrize(
+    ("config", "key"),
+    [
+        (replace(FULL, voxel_m=0.0), "voxel_m"),
+        (replace(FULL, max_memory_mb=float("nan")), "max_memory_mb"),
+        (replace(FULL, layer_voxels=-1), "layer_voxels"),
+        (replace(FULL, surface=SurfaceConfig(stride=0)), "surface.stride"),
+        (replace(FULL, surface=SurfaceConfig(near_m=2.0, far_m=1.0)), "surface.far_m"),
+        (replace(FULL, carving=CarvingConfig(every=0)), "carving.every"),
+        (replace(FULL, carving=CarvingConfig(lowest=1)), "carving.lowest"),
+    ],
+)
+def test_impossible_values_are_named(config: DenseMapperConfig, key: str) -> None:
+    with pytest.raises(ConfigError, match=f"dense.{key} is "):
+        config.build(CAMERA, still(1))

@@ -11,7 +11,7 @@ from stillroom.data.matches import Matches
 from stillroom.data.motion import Motion, Stage
 from stillroom.data.semantics import Semantics
 from stillroom.dynamics.clusters.belief import Belief
-from stillroom.dynamics.clusters.pixels import moving_pixels
+from stillroom.dynamics.clusters.pixels import MovingPixels
 from stillroom.dynamics.clusters.samples import Sampler, Samples
 from stillroom.dynamics.depth_history import DepthHistory, DepthHistoryConfig
 from stillroom.dynamics.epipolar import EpipolarConfig
@@ -101,6 +101,7 @@ class ClusterSieve:
         self._history = DepthHistory(config.history)
         self._sampler = Sampler()
         self._belief = Belief(config.fades_in_s, config.reach_m)
+        self._pixels = MovingPixels(config.margin_px)
         self._past: _Past | None = None
 
     def judge(
@@ -122,7 +123,7 @@ class ClusterSieve:
         if clusters is not None:
             samples = self._sampler.take(frame, clusters)
             belief = self._believe(frame, matches, clusters, samples, T_cam_world, world)
-            moving = moving_pixels(clusters, belief, known.movable, self.config.margin_px)
+            moving = self._pixels.of(clusters, belief, known.movable)
             column, row = np.rint(frame.keypoints.raw_px).astype(np.int64).T
             moves = moving[row, column] & ~known.movable[row, column]  # in boxes their own sieve knows better
             labels = clusters.labels[row, column]

@@ -28,8 +28,8 @@ class RefineConfig:
     """
 
     enabled: bool = True
-    band_px: int = 10
-    window_px: int = 50
+    band_px: int = 14
+    window_px: int = 90
     jump_m: float = 0.30
     near_m: float = 0.30
 

@@ -17,6 +17,8 @@ from stillroom.dynamics.clusters.sieve import ClusterSieveConfig
 from stillroom.dynamics.epipolar import EpipolarConfig
 from stillroom.dynamics.keep_all import KeepAllConfig, KeepAllKeypointsConfig
 from stillroom.dynamics.masked_keypoints import MaskedKeypointsConfig
+from stillroom.dynamics.multiview.presets import CodeMultiViewConfig, PaperMultiViewConfig
+from stillroom.dynamics.multiview.sieve import MultiViewConfig
 from stillroom.dynamics.paper_epipolar import PaperEpipolarConfig
 from stillroom.dynamics.whole_boxes import WholeBoxesConfig
 from stillroom.errors import ConfigError
@@ -139,5 +141,8 @@ DYNAMICS = Kinds(
         "paper-epipolar": PaperEpipolarConfig,
         "epipolar": EpipolarConfig,
         "clusters": ClusterSieveConfig,
+        "multiview": MultiViewConfig,
+        "multiview-paper": PaperMultiViewConfig,
+        "multiview-code": CodeMultiViewConfig,
     },
 )

@@ -1,0 +1,227 @@
+"""DynaSLAM's multi-view geometry (III.C): from the last keyframes to a mask of what came since."""
+
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+import cv2
+import numpy as np
+
+from stillroom.data.frame import Frame
+from stillroom.data.map import Map
+from stillroom.dynamics.multiview.kernels import (
+    BORDER,
+    DYNAMIC,
+    UNSEEN,
+    Growth,
+    Here,
+    Limits,
+    Points,
+    There,
+    grow,
+    judge_points,
+    project,
+)
+from stillroom.dynamics.multiview.views import AskedViews, KeyframesConfig, KeyframeViews
+from stillroom.geometry import se3
+from stillroom.geometry.arrays import F32, F64, I32, I64, U8, Bool
+from stillroom.geometry.camera import Camera
+
+__all__ = ["BORDER", "DYNAMIC", "UNSEEN", "Geometry", "GeometryConfig", "Question"]
+
+
+@dataclass(frozen=True)
+class GeometryConfig:
+    """How a point is tested, and how regions grow from those that fail.
+
+    Kinect noise grows with the squared depth; so do the tolerances that have a `per_m`.
+
+    Attributes:
+        keyframes: Which keyframes are asked.
+        max_parallax_deg: A point is not tested where the keyframe saw it from a direction farther off [°].
+        parallax_of_translations: Whether the translation of `T_cam_world` stands in for the camera's place in the
+            parallax, as in DynaSLAM's code.
+        tau_m, tau_per_m: Something stands before a point when it is nearer by more than this.
+        far_m: Points farther from the present camera than this are not tested.
+        window_px: How far around a point something nearer is looked for; the nearest pixel counts.
+        patch_px: Reach of the patch whose depths must not vary.
+        patch_std_m, patch_std_per_m: Largest standard deviation of depth in it.
+        seen_through: Whether the keyframe must have seen through the place where something stands now, and regions
+            stop at what more keyframes saw there than saw through it. Without, whatever the camera's own motion
+            brings before something else counts.
+        tolerance_m, tolerance_share: Two depths agree within the larger of the first and this share of the depth.
+        growing: Whether regions grow from dynamic points; without, a patch around each point is the mask.
+        growing_stride: Every how many-th pixel is grown into.
+        mean_m, mean_per_m: Largest difference from the region's mean.
+        step_m, step_per_m: Largest difference from the neighbour.
+        min_area_px: Smaller regions are dropped.
+    """
+
+    keyframes: KeyframesConfig = field(default_factory=KeyframesConfig)
+    max_parallax_deg: float = 30.0
+    parallax_of_translations: bool = False
+    tau_m: float = 0.1
+    tau_per_m: float = 0.01
+    far_m: float = 7.0
+    window_px: int = 0
+    patch_px: int = 3
+    patch_std_m: float = 0.03
+    patch_std_per_m: float = 0.004
+    seen_through: bool = True
+    tolerance_m: float = 0.06
+    tolerance_share: float = 0.03
+    growing: bool = True
+    growing_stride: int = 2
+    mean_m: float = 0.3
+    mean_per_m: float = 0.02
+    step_m: float = 0.03
+    step_per_m: float = 0.008
+    min_area_px: int = 200
+
+    def build(self) -> "Geometry":
+        """Return the geometry, without a past."""
+        return Geometry(self)
+
+
+@dataclass(frozen=True)
+class Question:
+    """Everything about a frame that its points are tested with.
+
+    Attributes:
+        frame: The frame.
+        points: What the keyframes saw, and where it lies in the frame.
+        here, there: The present depth image and the keyframes.
+        verdict: What is known of each point so far (N,); see `kernels`.
+        before_px: The pixel of what stands before it (N, 2), column first.
+    """
+
+    frame: Frame
+    points: Points
+    here: Here
+    there: There
+    verdict: U8
+    before_px: I32
+
+    @property
+    def in_view(self) -> I64:
+        """The points that lie in the image: all that can be tested at all."""
+        return np.flatnonzero(self.points.px[:, 0] >= 0)
+
+    @property
+    def dynamic_px(self) -> I32:
+        """Pixels (M, 2) of what stands before points that were found to be dynamic."""
+        found: I32 = self.before_px[self.verdict == DYNAMIC]
+        return found
+
+
+class Geometry:
+    """Asks the last keyframes about a frame. `mask` is the whole; the others are its steps."""
+
+    def __init__(self, config: GeometryConfig) -> None:
+        """Start without keyframes."""
+        self.config = config
+        self.views = KeyframeViews(config.keyframes)
+        self._window = offsets(config.window_px)
+        self._limits = Limits(
+            float(np.cos(np.deg2rad(config.max_parallax_deg))),
+            config.tau_m,
+            config.tau_per_m,
+            config.far_m,
+            config.patch_px,
+            config.patch_std_m,
+            config.patch_std_per_m,
+            config.seen_through,
+            config.tolerance_m,
+            config.tolerance_share,
+        )
+        min_pixels = max(1, round(config.min_area_px / config.growing_stride**2))
+        self._growth = Growth(config.mean_m, config.mean_per_m, config.step_m, config.step_per_m, min_pixels)
+
+    def mask(self, frame: Frame, T_cam_world: F64, world: Map) -> Bool | None:
+        """Return what moves in a frame (H, W) taken at a pose (4, 4); None where there are too few keyframes."""
+        question = self.question(frame, T_cam_world, world)
+        if question is None:
+            return None
+        self.test(question, question.in_view)
+        return self.grow(question, question.dynamic_px)
+
+    def question(self, frame: Frame, T_cam_world: F64, world: Map) -> Question | None:
+        """Bring the keyframes' points into a frame; None where there are too few keyframes."""
+        T_world_cam = se3.inverse(T_cam_world)
+        views = self.views.ask(T_world_cam, world)
+        if views is None:
+            return None
+        n, camera = len(views.seen_in), frame.camera
+        points = Points(views.points_cam_m, views.seen_in, np.empty((n, 2), dtype=np.int32), np.empty(n))
+        depth_m = np.ascontiguousarray(frame.image.depth_m, dtype=np.float32)
+        here = Here(depth_m, rays_of(camera), T_world_cam, lens_of(camera))
+        centres_m = self._centres_m(views, T_world_cam)
+        there = There(views.depth_m, views.T_cam_world, T_cam_world @ views.T_world_cam, centres_m)
+        project(points, there, here.lens, frame.image.height, frame.image.width)
+        verdict, before_px = np.full(n, UNSEEN, dtype=np.uint8), np.full((n, 2), -1, dtype=np.int32)
+        return Question(frame, points, here, there, verdict, before_px)
+
+    def test(self, question: Question, chosen: I64) -> U8:
+        """Test chosen points (M,); return their verdicts (M,) and note them in the question."""
+        q = question
+        judge_points(chosen, q.points, q.here, q.there, self._window, self._limits, q.verdict, q.before_px)
+        verdicts: U8 = q.verdict[chosen]
+        return verdicts
+
+    def grow(self, question: Question, seeds_px: I32) -> Bool:
+        """Return the mask (H, W) of what reaches from pixels (M, 2) as far as the depth goes on."""
+        stride, whole = self.config.growing_stride, question.here
+        height, width = whole.depth_m.shape
+        if not self.config.growing:
+            return _patches(seeds_px, height, width, max(1, self.config.patch_px))
+        here = Here(
+            np.ascontiguousarray(whole.depth_m[::stride, ::stride]),
+            rays_of(question.frame.camera, stride),
+            whole.T_world_cam,
+            whole.lens,
+        )
+        there = (
+            question.there
+            if self.config.seen_through
+            else question.there._replace(depth_m=question.there.depth_m[:0], T_cam_world=question.there.T_cam_world[:0])
+        )
+        region = np.zeros(here.depth_m.shape, dtype=np.uint8)
+        queue = np.empty((region.size, 2), dtype=np.int32)
+        grow(seeds_px // np.int32(stride), here, there, self._growth, self._limits, queue, region)
+        if stride == 1:
+            return region.view(np.bool_)
+        return np.asarray(cv2.resize(region, (width, height), interpolation=cv2.INTER_NEAREST)).view(np.bool_)
+
+    def _centres_m(self, views: AskedViews, T_world_cam: F64) -> F64:
+        """Return where each keyframe's camera and the present one stand in the keyframe's frame (K, 2, 3)."""
+        there_m, here_m = views.T_world_cam[:, :3, 3], T_world_cam[:3, 3]
+        if self.config.parallax_of_translations:
+            there_m, here_m = views.T_cam_world[:, :3, 3], se3.inverse(T_world_cam)[:3, 3]
+        places = zip(views.T_cam_world, there_m, strict=True)
+        return np.stack([se3.transform(T, np.stack((place_m, here_m))) for T, place_m in places])
+
+
+def offsets(reach_px: int) -> I32:
+    """Return the offsets (W, 2) of a square window, column first, the nearest first."""
+    row, column = np.mgrid[-reach_px : reach_px + 1, -reach_px : reach_px + 1]
+    every = np.stack((column.ravel(), row.ravel()), axis=1)
+    return np.asarray(every[np.argsort((every**2).sum(axis=1), kind="stable")], dtype=np.int32)
+
+
+def lens_of(camera: Camera) -> F64:
+    """Return fx fy cx cy k1 k2 p1 p2 k3 (9,)."""
+    return np.array([camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion], dtype=np.float64)
+
+
+@lru_cache(maxsize=4)
+def rays_of(camera: Camera, stride: int = 1) -> F32:
+    """Return the rays at unit depth of every so many-th pixel (h, w, 2) of the image as taken."""
+    column, row = np.meshgrid(np.arange(0, camera.width, stride), np.arange(0, camera.height, stride))
+    px = camera.undistort(np.stack((column.ravel(), row.ravel()), axis=1).astype(np.float32))
+    rays = (px - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
+    return np.ascontiguousarray(rays.reshape(*column.shape, 2), dtype=np.float32)
+
+
+def _patches(seeds_px: I32, height: int, width: int, reach_px: int) -> Bool:
+    mask = np.zeros((height, width), dtype=np.uint8)
+    mask[seeds_px[:, 1], seeds_px[:, 0]] = 1
+    return cv2.dilate(mask, np.ones((2 * reach_px + 1, 2 * reach_px + 1), dtype=np.uint8)).view(np.bool_)

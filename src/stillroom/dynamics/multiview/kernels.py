@@ -1,0 +1,328 @@
+"""The two loops: does something new stand before a point, and how far does that reach?"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from stillroom.dynamics.multiview.views import STRIDE
+from stillroom.geometry.arrays import F32, F64, I32, I64, U8
+
+UNSEEN, STATIC, STEEP, BORDER, UNCONFIRMED, DYNAMIC = range(6)
+"""Verdicts on a point: out of view, or no depth there; nothing stands before it; seen from too different directions;
+what stands before it has depths too different; its keyframe did not see through there; something has come."""
+
+AGREES, EMPTY, UNKNOWN = 1, -1, 0
+CELL = 2
+TOO_SMALL = 2
+
+
+class Limits(NamedTuple):
+    """The numbers of the tests of a point; numba reads a named tuple as it is.
+
+    Attributes:
+        min_parallax_cosine: Of the angle at the point between the two cameras.
+        tau_m, tau_per_m: Something stands before a point when nearer by more than the first plus the second (1/m)
+            times the squared depth.
+        far_m: Points farther away than this are not tested.
+        patch_px: Reach of the patch of the variance test.
+        std_m, std_per_m: Largest deviation of depth in it, likewise.
+        confirm: Whether the keyframe must have seen through the place where it stands now.
+        tolerance_m, tolerance_share: Depths agree within the larger of the first and this share of the depth.
+    """
+
+    min_parallax_cosine: float
+    tau_m: float
+    tau_per_m: float
+    far_m: float
+    patch_px: int
+    std_m: float
+    std_per_m: float
+    confirm: bool
+    tolerance_m: float
+    tolerance_share: float
+
+
+class Growth(NamedTuple):
+    """The numbers of region growing.
+
+    Attributes:
+        mean_m, mean_per_m: Largest difference from the mean of the region so far: the first plus the second (1/m)
+            times the squared depth.
+        step_m, step_per_m: Largest difference from the neighbour, likewise.
+        min_pixels: Regions smaller than this are dropped.
+    """
+
+    mean_m: float
+    mean_per_m: float
+    step_m: float
+    step_per_m: float
+    min_pixels: int
+
+
+class Here(NamedTuple):
+    """The present depth image.
+
+    Attributes:
+        depth_m: Depths (h, w) float32, at any stride; 0 where unknown.
+        rays: Rays of its pixels at unit depth (h, w, 2) float32.
+        T_world_cam: Its pose (4, 4).
+        lens: fx fy cx cy k1 k2 p1 p2 k3 of whole images (9,).
+    """
+
+    depth_m: F32
+    rays: F32
+    T_world_cam: F64
+    lens: F64
+
+
+class There(NamedTuple):
+    """The keyframes.
+
+    Attributes:
+        depth_m: Every `STRIDE`-th depth, and the nearest and farthest that it and its eight neighbours know
+            (K, h, w, 3) float32; 0 where unknown or moving.
+        T_cam_world: Their poses (K, 4, 4).
+        T_here_cam: The same in the present camera's frame (K, 4, 4).
+        centres_m: Where the keyframe's camera and the present one stand, in the keyframe's frame, (K, 2, 3); for the
+            parallax.
+    """
+
+    depth_m: F32
+    T_cam_world: F64
+    T_here_cam: F64
+    centres_m: F64
+
+
+class Points(NamedTuple):
+    """What the keyframes saw.
+
+    Attributes:
+        cam_m: Points (N, 3) [m, frame of the keyframe's camera].
+        seen_in: The keyframe of each, (N,) int64.
+        px: Where they come to lie in the present image, column first, (N, 2) int32; −1 where outside.
+        z_m: How deep (N,).
+    """
+
+    cam_m: F64
+    seen_in: I64
+    px: I32
+    z_m: F64
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def distorted(x: float, y: float, lens: F64) -> tuple[float, float]:
+    """Return the pixel, as taken, of a ray at unit depth."""
+    k1, k2, p1, p2, k3 = lens[4], lens[5], lens[6], lens[7], lens[8]
+    r2 = x * x + y * y
+    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    u = lens[0] * (x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)) + lens[2]
+    v = lens[1] * (y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y) + lens[3]
+    return u, v
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def project(points: Points, there: There, lens: F64, height: int, width: int) -> None:
+    """Write `px` and `z_m` of the points for an image of a size."""
+    T = there.T_here_cam
+    for i in range(len(points.cam_m)):
+        X, Y, Z = points.cam_m[i, 0], points.cam_m[i, 1], points.cam_m[i, 2]
+        k = points.seen_in[i]
+        z = T[k, 2, 0] * X + T[k, 2, 1] * Y + T[k, 2, 2] * Z + T[k, 2, 3]
+        points.px[i, 0], points.px[i, 1], points.z_m[i] = -1, -1, z
+        if z <= 0.1:
+            continue
+        x = (T[k, 0, 0] * X + T[k, 0, 1] * Y + T[k, 0, 2] * Z + T[k, 0, 3]) / z
+        y = (T[k, 1, 0] * X + T[k, 1, 1] * Y + T[k, 1, 2] * Z + T[k, 1, 3]) / z
+        u, v = distorted(x, y, lens)
+        if u >= -0.5 and v >= -0.5 and u < width - 0.5 and v < height - 0.5:
+            points.px[i, 0], points.px[i, 1] = int(np.floor(u + 0.5)), int(np.floor(v + 0.5))
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def judge_points(
+    chosen: I64, points: Points, here: Here, there: There, window: I32, limits: Limits, verdict: U8, before_px: I32
+) -> None:
+    """Test chosen points of keyframes against the present depth image (DynaSLAM III.C).
+
+    Args:
+        chosen: Which points to test (M,).
+        points: All points.
+        here: The present depth image, whole.
+        there: The keyframes.
+        window: Offsets (W, 2) int32, nearest first, at which something nearer is looked for.
+        limits: The numbers.
+        verdict: Written for the chosen points (N,).
+        before_px: The pixel that shows what stands before a point (N, 2), written where something does.
+    """
+    for m in range(len(chosen)):
+        i = chosen[m]
+        z = points.z_m[i]
+        verdict[i] = UNSEEN
+        if points.px[i, 0] < 0 or z > limits.far_m:
+            continue
+        if _is_steep(points, i, there, limits.min_parallax_cosine):
+            verdict[i] = STEEP
+            continue
+        column, row, nearer = _first_nearer(here.depth_m, points.px[i, 0], points.px[i, 1], z, window)
+        if nearer == 0.0:
+            continue
+        verdict[i] = STATIC
+        if nearer < 0.0 or z - nearer <= limits.tau_m + limits.tau_per_m * z * z:
+            continue
+        before_px[i, 0], before_px[i, 1] = column, row
+        largest = limits.std_m + limits.std_per_m * nearer * nearer
+        if _variance(here.depth_m, row, column, limits.patch_px) > largest * largest:
+            verdict[i] = BORDER
+        elif limits.confirm and sees(there, points.seen_in[i], here.lens, _place(here, row, column), limits) != EMPTY:
+            verdict[i] = UNCONFIRMED
+        else:
+            verdict[i] = DYNAMIC
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _is_steep(points: Points, i: int, there: There, min_cosine: float) -> bool:
+    """Tell whether the angle at a point between its keyframe's camera and the present one is too large."""
+    X, Y, Z, c, k = points.cam_m[i, 0], points.cam_m[i, 1], points.cam_m[i, 2], there.centres_m, points.seen_in[i]
+    ax, ay, az = c[k, 0, 0] - X, c[k, 0, 1] - Y, c[k, 0, 2] - Z
+    bx, by, bz = c[k, 1, 0] - X, c[k, 1, 1] - Y, c[k, 1, 2] - Z
+    norm = np.sqrt((ax * ax + ay * ay + az * az) * (bx * bx + by * by + bz * bz))
+    return bool(ax * bx + ay * by + az * bz < min_cosine * norm)
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _first_nearer(depth_m: F32, column: int, row: int, z: float, window: I32) -> tuple[int, int, float]:
+    """Return the pixel and depth of the nearest nearer one in a window; depth −1 where none is, 0 where none knows."""
+    known = False
+    for k in range(len(window)):
+        u, v = column + window[k, 0], row + window[k, 1]
+        if u >= 0 and v >= 0 and u < depth_m.shape[1] and v < depth_m.shape[0]:
+            seen = float(depth_m[v, u])
+            known |= seen > 0.0
+            if 0.0 < seen < z:
+                return u, v, seen
+    return column, row, -1.0 if known else 0.0
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _variance(depth_m: F32, row: int, column: int, reach: int) -> float:
+    """Return the variance of the known depths of a square patch."""
+    n, total, squares = 0, 0.0, 0.0
+    origin = float(depth_m[row, column])
+    for v in range(max(0, row - reach), min(depth_m.shape[0], row + reach + 1)):
+        for u in range(max(0, column - reach), min(depth_m.shape[1], column + reach + 1)):
+            if depth_m[v, u] > 0.0:
+                difference = depth_m[v, u] - origin
+                n += 1
+                total += difference
+                squares += difference * difference
+    mean = total / n
+    return squares / n - mean * mean
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _place(here: Here, row: int, column: int) -> tuple[float, float, float]:
+    """Return where in the world a present pixel's surface is."""
+    z, T = float(here.depth_m[row, column]), here.T_world_cam
+    x, y = here.rays[row, column, 0] * z, here.rays[row, column, 1] * z
+    return (
+        T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3],
+        T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3],
+        T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3],
+    )
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def sees(there: There, k: int, lens: F64, place_m: tuple[float, float, float], limits: Limits) -> int:
+    """Return what keyframe `k` says of a place [world]: AGREES, EMPTY or UNKNOWN.
+
+    The pixel and the nearest and farthest of its neighbours are asked: one that agrees is enough, and all must lie
+    behind.
+    """
+    X, Y, Z = place_m
+    T, depth_m = there.T_cam_world, there.depth_m
+    z = T[k, 2, 0] * X + T[k, 2, 1] * Y + T[k, 2, 2] * Z + T[k, 2, 3]
+    if z <= 0.1:
+        return UNKNOWN
+    x = (T[k, 0, 0] * X + T[k, 0, 1] * Y + T[k, 0, 2] * Z + T[k, 0, 3]) / z
+    y = (T[k, 1, 0] * X + T[k, 1, 1] * Y + T[k, 1, 2] * Z + T[k, 1, 3]) / z
+    u, v = distorted(x, y, lens)
+    if not (u >= 0 and v >= 0 and u < STRIDE * 10000 and v < STRIDE * 10000):
+        return UNKNOWN
+    column, row = int(u / STRIDE + 0.5), int(v / STRIDE + 0.5)
+    if row >= depth_m.shape[1] or column >= depth_m.shape[2]:
+        return UNKNOWN
+    tolerance = max(limits.tolerance_m, limits.tolerance_share * z)
+    farthest = float(depth_m[k, row, column, 2])
+    if farthest <= 0.0:
+        return UNKNOWN
+    seen, nearest = float(depth_m[k, row, column, 0]), float(depth_m[k, row, column, 1])
+    if abs(seen - z) <= tolerance or abs(nearest - z) <= tolerance or abs(farthest - z) <= tolerance:
+        return AGREES
+    return EMPTY if nearest > z else UNKNOWN
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def grow(seeds: I32, here: Here, there: There, growth: Growth, limits: Limits, queue: I32, region: U8) -> None:
+    """Grow regions on depth from seeds, breadth first, each by the running mean of what it has (DynaSLAM III.C).
+
+    What more keyframes saw at its present place than saw through it is never taken; with no keyframes, all may be.
+    They are asked once for each square of `CELL` pixels a side, about the pixel that comes first.
+
+    Args:
+        seeds: Pixels (M, 2), column first.
+        here: The present depth image, at any stride.
+        there: The keyframes that are asked.
+        growth, limits: The numbers.
+        queue: Room for every pixel (h · w, 2).
+        region: Where the result is written (h, w): 1 in a region, 0 outside; all 0 before.
+    """
+    height, width = here.depth_m.shape
+    asked = np.zeros((height // CELL + 1, width // CELL + 1), dtype=np.uint8)
+    for s in range(len(seeds)):
+        column, row = seeds[s, 0], seeds[s, 1]
+        mean = float(here.depth_m[row, column])
+        if mean <= 0.0 or region[row, column] != 0 or _was_there(here, there, row, column, limits, asked):
+            continue
+        queue[0, 0], queue[0, 1], head, tail = row, column, 0, 1
+        region[row, column] = 1
+        while head < tail:
+            row, column = queue[head, 0], queue[head, 1]
+            head += 1
+            for k in range(4):
+                v, u = row + (k == 1) - (k == 0), column + (k == 3) - (k == 2)
+                if v < 0 or u < 0 or v >= height or u >= width or region[v, u] != 0:
+                    continue
+                z = float(here.depth_m[v, u])
+                if z <= 0.0 or abs(z - mean) >= growth.mean_m + growth.mean_per_m * z * z:
+                    continue
+                if abs(z - here.depth_m[row, column]) > growth.step_m + growth.step_per_m * z * z:
+                    continue
+                if _was_there(here, there, v, u, limits, asked):
+                    continue
+                region[v, u] = 1
+                queue[tail, 0], queue[tail, 1] = v, u
+                tail += 1
+                mean += (z - mean) / tail
+        if tail < growth.min_pixels:
+            for k in range(tail):
+                region[queue[k, 0], queue[k, 1]] = TOO_SMALL
+    for v in range(height):
+        for u in range(width):
+            region[v, u] &= 1
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _was_there(here: Here, there: There, row: int, column: int, limits: Limits, asked: U8) -> bool:
+    """Tell whether more keyframes saw a surface at a present pixel's place than saw through it."""
+    if len(there.depth_m) == 0:
+        return False
+    cell = row // CELL, column // CELL
+    if asked[cell] == 0:
+        votes, place_m = 0, _place(here, row, column)
+        left = len(there.depth_m)
+        while left > 0 and abs(votes) <= left:
+            left -= 1
+            votes += sees(there, left, here.lens, place_m, limits)
+        asked[cell] = 2 if votes > 0 else 1
+    return bool(asked[cell] == 2)

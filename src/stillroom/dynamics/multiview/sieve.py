@@ -1,0 +1,150 @@
+"""DynaSLAM's rule for what moves: what a network says may move, and what multi-view geometry says does."""
+
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+import cv2
+import numpy as np
+
+from stillroom.data.frame import Frame
+from stillroom.data.map import Map
+from stillroom.data.matches import Matches
+from stillroom.data.motion import Motion, Stage
+from stillroom.data.semantics import Semantics
+from stillroom.dynamics.multiview.geometry import GeometryConfig
+from stillroom.dynamics.multiview.views import CHOICES
+from stillroom.errors import ConfigError
+from stillroom.geometry import se3
+from stillroom.geometry.arrays import F64, U8, Bool
+from stillroom.protocols import Pending
+
+UNION, GEOMETRY_FIRST = "union", "geometry-first"
+COMBINATIONS = (UNION, GEOMETRY_FIRST)
+
+TYPICAL_DEPTH_M = 2.5
+SAME_POSE_M = 0.015
+"""A mask serves again at a pose that moves things at a typical depth by less than this."""
+
+
+@dataclass(frozen=True)
+class MultiViewConfig:
+    """The sieve of the `dynaslam` presets, with the numbers that work best on Kinect-like depth.
+
+    The paper's and its code's are `dynamics.kind = "multiview-paper"` and `"multiview-code"` (see `presets`).
+
+    Attributes:
+        network: Whether what may move counts as moving (N).
+        geometry: Whether multi-view geometry is asked (G).
+        combination: "union" of both masks (DynaSLAM's code), or "geometry-first" (its paper): where both found the
+            same thing, geometry's mask stands for it.
+        overlap_share: For "geometry-first": both found the same when geometry covers this share of a network's mask.
+        dilation_px: How far the masks are grown in the end, as an ellipse; keypoints on their border go with them.
+        min_matches: The sieve is off where fewer matches than this would stay.
+        test: The geometry.
+    """
+
+    network: bool = True
+    geometry: bool = True
+    combination: str = UNION
+    overlap_share: float = 0.3
+    dilation_px: int = 6
+    min_matches: int = 20
+    test: GeometryConfig = field(default_factory=GeometryConfig)
+
+    def build(self, seed: int = 0) -> "MultiViewSieve":
+        """Return the sieve.
+
+        Raises:
+            ConfigError: A value is impossible.
+        """
+        if self.combination not in COMBINATIONS:
+            raise ConfigError(f"combination is '{self.combination}'; there are {', '.join(COMBINATIONS)}")
+        if self.test.keyframes.choice not in CHOICES:
+            raise ConfigError(f"choice is '{self.test.keyframes.choice}'; there are {', '.join(CHOICES)}")
+        for name, value in (("growing_stride", self.test.growing_stride), ("kept", self.test.keyframes.kept)):
+            if value < 1:
+                raise ConfigError(f"{name} is {value}; it must be 1 or more")
+        return MultiViewSieve(self)
+
+
+class MultiViewSieve:
+    """Sieve 2 of `dynaslam`."""
+
+    def __init__(self, config: MultiViewConfig) -> None:
+        """Start without a past."""
+        self.config = config
+        self.geometry = config.test.build()
+        self._found: tuple[Frame, F64, Bool | None] | None = None
+
+    def judge(
+        self,
+        stage: Stage,
+        frame: Frame,
+        matches: Matches,
+        semantics: Pending[Semantics],
+        T_cam_world: F64,
+        world: Map,
+    ) -> Motion:
+        """Judge every keypoint by the mask that it lies in.
+
+        The low-cost stage is judged by the network alone: it is there to give the geometry its pose.
+        """
+        nothing_moves = Motion.none(len(frame), frame.image.height, frame.image.width)
+        if stage is Stage.RELOCALIZATION:
+            return nothing_moves
+        self.geometry.views.settle(world)
+        found = None
+        if self.config.geometry and stage is not Stage.LOW_COST:
+            found = self._geometry(frame, T_cam_world, world)
+        moving = self._moving(found, semantics.result())
+        column, row = np.rint(frame.keypoints.raw_px).astype(np.int64).T
+        motion = Motion(~moving[row, column], moving)
+        if stage is Stage.LOCAL_MAP and self.config.geometry:
+            self.geometry.views.note(frame, moving)
+        stay = int(np.count_nonzero(motion.is_static[matches.keypoint]))
+        return nothing_moves if stay < self.config.min_matches <= len(matches) else motion
+
+    def _geometry(self, frame: Frame, T_cam_world: F64, world: Map) -> Bool | None:
+        """Return the geometry's mask (H, W) at a pose, from a moment ago where that is much the same."""
+        if self._found is not None and self._found[0] is frame:
+            change = T_cam_world @ se3.inverse(self._found[1])
+            moved_m = np.linalg.norm(change[:3, 3]) + TYPICAL_DEPTH_M * float(se3.angle_rad(change))
+            if moved_m < SAME_POSE_M:
+                return self._found[2]
+        mask = self.geometry.mask(frame, T_cam_world, world)
+        self._found = frame, T_cam_world.copy(), mask
+        return mask
+
+    def _moving(self, found: Bool | None, known: Semantics) -> Bool:
+        """Return what moves (H, W) by both accounts, dilated; an array of its own."""
+        moving = np.zeros((known.height, known.width), dtype=np.bool_)
+        if self.config.network and known.has_any:
+            moving |= known.movable
+        if found is not None:
+            if self.config.combination == GEOMETRY_FIRST:
+                moving = without_found(moving, found, self.config.overlap_share)
+            moving |= found
+        return dilated(moving, self.config.dilation_px)
+
+
+def without_found(network: Bool, found: Bool, share: float) -> Bool:
+    """Return a network's mask (H, W) without the connected parts of which geometry found at least a share."""
+    n, labels = cv2.connectedComponents(network.view(np.uint8), connectivity=8)
+    area = np.bincount(labels.ravel(), minlength=n)
+    both = np.bincount(labels.ravel(), found.ravel(), minlength=n)
+    keeps = both < share * np.maximum(area, 1)
+    keeps[0] = False
+    return np.asarray(keeps[labels], dtype=np.bool_)
+
+
+def dilated(mask: Bool, reach_px: int) -> Bool:
+    """Return a mask (H, W) grown by an ellipse of this reach."""
+    if reach_px <= 0 or not mask.any():
+        return mask
+    return np.asarray(cv2.dilate(mask.view(np.uint8), _ellipse(reach_px))).view(np.bool_)
+
+
+@lru_cache
+def _ellipse(reach_px: int) -> U8:
+    size = 2 * reach_px + 1
+    return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)), dtype=np.uint8)

@@ -1,0 +1,177 @@
+"""What the last keyframes saw: small depth images, and points to look for in the present image."""
+
+from collections import deque
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+
+from stillroom.data.frame import Frame
+from stillroom.data.map import Map
+from stillroom.geometry import se3
+from stillroom.geometry.arrays import F32, F64, I64, Bool
+
+STRIDE = 4
+"""Every fourth pixel of a keyframe's depth image is kept."""
+
+NEAREST, FARTHEST, SPREAD = "nearest", "farthest", "spread"
+CHOICES = (NEAREST, FARTHEST, SPREAD)
+
+DISTANCE_WEIGHT, ROTATION_WEIGHT = 0.7, 0.3
+"""How the two differences of pose count, each as a share of the largest (REFERENCE 2.1)."""
+
+
+@dataclass(frozen=True)
+class KeyframesConfig:
+    """Which keyframes are asked.
+
+    Attributes:
+        kept: Keyframes whose depth is remembered; the oldest goes first.
+        asked: Of those, how many are asked about a frame.
+        least: With fewer than this there is no answer.
+        choice: "nearest" or "farthest" by distance and rotation, or "spread": evenly over time.
+        max_turn_rad: A keyframe that looks farther away than this does not overlap.
+        far_m: Points farther from the keyframe than this are not used.
+        grid_px: Distance of the pixels that are points beside the keypoints; 0 for keypoints only.
+    """
+
+    kept: int = 20
+    asked: int = 5
+    least: int = 1
+    choice: str = SPREAD
+    max_turn_rad: float = 0.8
+    far_m: float = 6.0
+    grid_px: int = 12
+
+
+@dataclass(frozen=True)
+class View:
+    """A keyframe.
+
+    Attributes:
+        keyframe: Its id in the map.
+        depth_m: Its small depth image, and the nearest and farthest of each pixel and its neighbours, (h, w, 3);
+            0 where unknown or moving.
+        points_cam_m: Static points that it saw (P, 3) [m, its camera's frame].
+    """
+
+    keyframe: int
+    depth_m: F32 = field(repr=False)
+    points_cam_m: F64 = field(repr=False)
+
+
+@dataclass(frozen=True)
+class AskedViews:
+    """The keyframes that are asked about a frame, as arrays.
+
+    Attributes:
+        T_world_cam: Their poses as known now (K, 4, 4).
+        T_cam_world: Their inverses (K, 4, 4).
+        depth_m: Their small depth images (K, h, w, 3), as `View` has them.
+        points_cam_m: All their points (N, 3) [m, frame of the keyframe's camera].
+        seen_in: Place in the arrays above of the keyframe that saw each point (N,).
+    """
+
+    T_world_cam: F64
+    T_cam_world: F64
+    depth_m: F32 = field(repr=False)
+    points_cam_m: F64 = field(repr=False)
+    seen_in: I64 = field(repr=False)
+
+    def __len__(self) -> int:
+        """Number of keyframes."""
+        return len(self.T_world_cam)
+
+
+class KeyframeViews:
+    """The last keyframes. Told of every frame; which of them became keyframes is learnt from the map."""
+
+    def __init__(self, config: KeyframesConfig) -> None:
+        """Start without any."""
+        self.config = config
+        self._views: deque[View] = deque(maxlen=config.kept)
+        self._newest: tuple[int, Frame, Bool] | None = None
+
+    def __len__(self) -> int:
+        """How many keyframes are remembered."""
+        return len(self._views)
+
+    @property
+    def n_bytes(self) -> int:
+        """Memory that they take."""
+        return sum(view.depth_m.nbytes + view.points_cam_m.nbytes for view in self._views)
+
+    def note(self, frame: Frame, moving: Bool) -> None:
+        """Take note of a frame, which may become a keyframe, and of what moves in it (H, W)."""
+        self._newest = frame.image.index, frame, moving
+
+    def settle(self, world: Map) -> None:
+        """Keep the frame that was noted last, if it has become a keyframe since."""
+        if self._newest is None or len(world.keyframes) == 0:
+            return
+        index, frame, moving = self._newest
+        last = len(world.keyframes) - 1
+        if world.keyframes.image_index[last] != index:
+            return
+        self._newest = None
+        if not self._views or self._views[-1].keyframe != last:
+            self._views.append(self._view(last, frame, moving))
+
+    def ask(self, T_world_cam: F64, world: Map) -> AskedViews | None:
+        """Return the keyframes that overlap a pose (4, 4) best, or as the config wants them; None if too few."""
+        views = [view for view in self._views if view.keyframe < len(world.keyframes)]
+        poses = np.array([world.keyframe_pose(view.keyframe) for view in views]).reshape(-1, 4, 4)
+        apart = se3.inverse(poses) @ T_world_cam
+        turn_rad = np.arccos(np.clip(apart[:, 2, 2], -1.0, 1.0))
+        overlapping = np.flatnonzero(turn_rad <= self.config.max_turn_rad)
+        if len(overlapping) < max(1, self.config.least):
+            return None
+        chosen = overlapping[self._choose(apart[overlapping])]
+        poses = poses[chosen]
+        points = [views[i].points_cam_m for i in chosen]
+        return AskedViews(
+            T_world_cam=poses,
+            T_cam_world=se3.inverse(poses),
+            depth_m=np.stack([views[i].depth_m for i in chosen]),
+            points_cam_m=np.concatenate(points),
+            seen_in=np.repeat(np.arange(len(chosen)), [len(group) for group in points]),
+        )
+
+    def _choose(self, apart: F64) -> I64:
+        """Return the places of those to ask, given present poses (K, 4, 4) in each, oldest first."""
+        n = min(self.config.asked, len(apart))
+        if self.config.choice == SPREAD:
+            return np.unique(np.rint(np.linspace(0, len(apart) - 1, n)).astype(np.int64))
+        distance_m = np.linalg.norm(apart[:, :3, 3], axis=1)
+        angle_rad = se3.angle_rad(apart)
+        score = DISTANCE_WEIGHT * distance_m / max(float(distance_m.max()), 1e-9)
+        score += ROTATION_WEIGHT * angle_rad / max(float(angle_rad.max()), 1e-9)
+        order = np.argsort(-score if self.config.choice == FARTHEST else score, kind="stable")
+        return np.asarray(np.sort(order[:n]), dtype=np.int64)
+
+    def _view(self, keyframe: int, frame: Frame, moving: Bool) -> View:
+        small = frame.image.depth_m[::STRIDE, ::STRIDE].copy()
+        small[moving[::STRIDE, ::STRIDE]] = 0
+        kp = frame.keypoints
+        column, row = np.rint(kp.raw_px).astype(np.int64).T
+        usable = (kp.depth_m > 0) & (kp.depth_m < self.config.far_m) & ~moving[row, column]
+        points = frame.camera.back_project(kp.px[usable], kp.depth_m[usable])
+        if self.config.grid_px > 0:
+            points = np.concatenate((points, self._on_a_grid(frame, small)))
+        return View(keyframe, with_neighbours(small), points)
+
+    def _on_a_grid(self, frame: Frame, small_m: F32) -> F64:
+        """Return the points (P, 3) of every so many-th pixel of a small depth image."""
+        step = max(1, round(self.config.grid_px / STRIDE))
+        depth_m = small_m[::step, ::step]
+        row, column = np.nonzero((depth_m > 0) & (depth_m < self.config.far_m))
+        raw_px = np.stack((column, row), axis=1).astype(np.float32) * np.float32(step * STRIDE)
+        return frame.camera.back_project(frame.camera.undistort(raw_px), depth_m[row, column])
+
+
+def with_neighbours(depth_m: F32) -> F32:
+    """Return depths (h, w), 0 where unknown, with the nearest and farthest known of 3 by 3 pixels, (h, w, 3)."""
+    square = np.ones((3, 3), dtype=np.uint8)
+    nearest = cv2.erode(np.where(depth_m > 0, depth_m, np.float32(np.inf)), square)
+    nearest[np.isinf(nearest)] = 0
+    return np.ascontiguousarray(np.dstack((depth_m, nearest, cv2.dilate(depth_m, square))), dtype=np.float32)

@@ -1,9 +1,12 @@
 """How clean and how complete the dense map is, with and without the removal of what moves."""
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
-from stillroom.benchmark.dense_maps import WITH_REMOVAL, WITHOUT_REMOVAL, dense_maps
+import numpy as np
+
+from stillroom.benchmark.dense_maps import WITH_REMOVAL, WITHOUT_REMOVAL, DenseMaps, dense_maps
 from stillroom.benchmark.map_figures import HEADER, MapFigures
 from stillroom.benchmark.map_judges import RealJudge, TruthJudge
 from stillroom.config import SlamConfig
@@ -14,6 +17,7 @@ from stillroom.errors import ConfigError
 from stillroom.evaluation.report_text import percent
 from stillroom.pipeline import SILENT, Progress
 from stillroom.protocols import Dataset
+from stillroom.viz.cloud.pair import draw_dense_pair
 
 __all__ = ["HEADER", "Ghosts", "Stretches", "ghosts", "stretches"]
 
@@ -43,6 +47,7 @@ class Ghosts:
         stretches: Which images served for what.
         coverage: Share of the images with a pose, 0 to 1.
         maps: The figures with removal and without.
+        made: The maps themselves.
         notes: What they must be read with.
     """
 
@@ -51,6 +56,7 @@ class Ghosts:
     stretches: Stretches
     coverage: float
     maps: tuple[MapFigures, ...]
+    made: DenseMaps
     notes: tuple[str, ...]
 
     def sentences(self) -> list[str]:
@@ -64,6 +70,15 @@ class Ghosts:
         if clean > 0:
             lines.append(f"without removal there are {raw / clean:.0f} times as many ghosts per point")
         return [*lines, *self.notes]
+
+    def draw(self, path: Path) -> None:
+        """Draw both maps side by side.
+
+        Raises:
+            StillroomError: The file cannot be written.
+        """
+        clouds, poses = self.made.clouds, np.stack(list(self.made.T_world_cam.values()))
+        draw_dense_pair(path, clouds[WITHOUT_REMOVAL], clouds[WITH_REMOVAL], poses)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the figures for a JSON file."""
@@ -101,7 +116,7 @@ def ghosts(dataset: Dataset, name: str, config: SlamConfig, chosen: Stretches, p
         judge = TruthJudge(dataset, made.T_world_cam, chosen.mapped)
     maps = tuple(judge.judge(which, cloud.positions_m) for which, cloud in made.clouds.items())
     coverage = len(made.T_world_cam) / made.n_given
-    return Ghosts(dataset.name, name, chosen, coverage, maps, tuple(judge.sentences()))
+    return Ghosts(dataset.name, name, chosen, coverage, maps, made, tuple(judge.sentences()))
 
 
 def _dense_map_of(config: SlamConfig) -> DenseMapperConfig:

@@ -1,5 +1,6 @@
 """`stillroom bench ghosts`: what moving things leave behind in the dense map."""
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -24,6 +25,9 @@ def ghosts(
     mapped: Annotated[
         str | None, typer.Option("--map", metavar="A:B", help="Frames to map; by default all after these.")
     ] = None,
+    picture: Annotated[
+        Path | None, typer.Option(metavar="PNG", help="Draw both maps side by side, and write them here.")
+    ] = None,
     camera: Camera = None,
     settings: Settings = None,
     out: Out = None,
@@ -45,4 +49,7 @@ def ghosts(
         bench.print_table(f"{method} on {dataset.name}", HEADER, [one.row() for one in figures.maps])
         print_lines(figures.sentences())
         bench.keep([figures.to_dict()])
+        if picture is not None:
+            figures.draw(picture)
+            print_lines([f"picture: {picture}"])
     bench.finish()

@@ -53,7 +53,6 @@ class ClusterSieveConfig:
     boxes: EpipolarConfig = field(default_factory=EpipolarConfig)
     history: DepthHistoryConfig = field(default_factory=lambda: DepthHistoryConfig(ages_s=(0.3, 0.6, 1.2, 2.4)))
     gain: float = 1.5
-    points_half: float = 0.5
     suspicion: float = 0.5
     limit: float = 4.0
     min_known_share: float = 0.2
@@ -142,8 +141,7 @@ class ClusterSieve:
     ) -> F64:
         """Return the log-odds (K,) that each cluster moves."""
         config, past = self.config, self._past_of(frame, clusters, samples, T_cam_world)
-        h = config.points_half
-        failing = np.where(past.failing > h, (past.failing - h) / (1.0 - h), (past.failing - h) / h)
+        failing = 2.0 * past.failing - 1.0
         failing += np.maximum(0.0, 2.0 * self._failing_pairs(frame, matches, clusters, T_cam_world, world) - 1.0)
         belief = past.inherited + config.gain * failing + config.suspicion * (clusters.box >= 0)
         return np.asarray(np.clip(belief, -config.limit, config.limit))
@@ -164,7 +162,7 @@ class ClusterSieve:
         n = len(clusters)
         failing, holding = samples.count(n, fails), samples.count(n, holds)
         judged = failing + holding >= np.maximum(4.0, self.config.min_known_share * samples.count(n))
-        return np.where(judged, failing / np.maximum(failing + holding, 1.0), self.config.points_half)
+        return np.where(judged, failing / np.maximum(failing + holding, 1.0), 0.5)
 
     def _failing_pairs(self, frame: Frame, matches: Matches, clusters: Clusters, T_cam_world: F64, world: Map) -> F64:
         """Return the share (K,) of each cluster's matches that fail; ½ where there are too few."""

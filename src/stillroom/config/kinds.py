@@ -15,6 +15,7 @@ from stillroom.dense.dense_mapper import DenseMapperConfig
 from stillroom.dense.nothing import NoDenseMapConfig
 from stillroom.dynamics.clusters.sieve import ClusterSieveConfig
 from stillroom.dynamics.epipolar import EpipolarConfig
+from stillroom.dynamics.homography.sieve import CompensatedHomographyConfig
 from stillroom.dynamics.keep_all import KeepAllConfig, KeepAllKeypointsConfig
 from stillroom.dynamics.masked_keypoints import MaskedKeypointsConfig
 from stillroom.dynamics.multiview.presets import CodeMultiViewConfig, PaperMultiViewConfig
@@ -144,5 +145,6 @@ DYNAMICS = Kinds(
         "multiview": MultiViewConfig,
         "multiview-paper": PaperMultiViewConfig,
         "multiview-code": CodeMultiViewConfig,
+        "compensated-homography": CompensatedHomographyConfig,
     },
 )

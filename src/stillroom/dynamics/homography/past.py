@@ -1,0 +1,73 @@
+"""The images that the present one is held against."""
+
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+
+from stillroom.data.frame import Frame
+from stillroom.data.image import RgbdImage
+from stillroom.dynamics.homography.point_test import View
+from stillroom.geometry.arrays import F64, U8
+
+TOO_OLD_S = 1.0
+"""Images older than this show too little of what the present one shows."""
+
+
+@dataclass(frozen=True)
+class EarlierImage:
+    """An image with its pose.
+
+    Attributes:
+        index, timestamp_s: Place and time of the image in its sequence.
+        view: What is read of it.
+        T_cam_world: Its pose as tracked (4, 4).
+    """
+
+    index: int
+    timestamp_s: float
+    view: View = field(repr=False)
+    T_cam_world: F64
+
+
+def view_of(image: RgbdImage) -> View:
+    """Return an image as the point test reads it."""
+    return View(_shrunk(image.gray, 2), _shrunk(image.gray, 4), image.depth_m)
+
+
+def _shrunk(gray: U8, times: int) -> U8:
+    """Average blocks of pixels: pixel x of the small image has its centre at times·x + (times − 1)/2 of the large."""
+    size = (gray.shape[1] // times, gray.shape[0] // times)
+    cut = gray[: size[1] * times, : size[0] * times]
+    return np.asarray(cv2.resize(cut, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+
+
+class Past:
+    """The last images, back to one that is old enough."""
+
+    def __init__(self, age_s: float) -> None:
+        """Start without a past.
+
+        Args:
+            age_s: How old the image should be that the present one is compared with [s].
+        """
+        self._age_s = age_s
+        self._images: list[EarlierImage] = []
+
+    def before(self, frame: Frame) -> EarlierImage | None:
+        """Return the youngest earlier image that is old enough, else the oldest; None where there is none."""
+        now_s = frame.timestamp_s
+        earlier = [image for image in self._images if now_s - TOO_OLD_S <= image.timestamp_s < now_s]
+        if not earlier:
+            return None
+        # A tenth less: frames come a little early at times.
+        old = [image for image in earlier if now_s - image.timestamp_s >= 0.9 * self._age_s]
+        return old[-1] if old else earlier[0]
+
+    def remember(self, frame: Frame, view: View, T_cam_world: F64) -> None:
+        """Keep an image, once; forget those that no later one will be compared with."""
+        oldest = self.before(frame)
+        kept = [image for image in self._images if image.timestamp_s < frame.timestamp_s]
+        if oldest is not None:
+            kept = [image for image in kept if image.timestamp_s >= oldest.timestamp_s]
+        self._images = [*kept, EarlierImage(frame.image.index, frame.timestamp_s, view, T_cam_world.copy())]

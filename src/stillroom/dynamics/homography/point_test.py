@@ -1,0 +1,264 @@
+"""The dynamic test of one point: is it where a static one would be?"""
+
+from dataclasses import dataclass, field
+
+import numba
+import numpy as np
+
+from stillroom.dynamics.homography.patches import N_PIXELS, NOT_SEEN, find_patch
+from stillroom.geometry.arrays import F32, F64, I64, U8, Bool
+from stillroom.geometry.camera import Camera
+
+UNKNOWN, STATIC, DYNAMIC = 0, 1, 2
+"""What the test can say of a point."""
+FOUND, ABSENT = 1, 2
+"""What else the search for its patch can say; UNKNOWN is as above."""
+DEPTH_STEP_PX = 2
+"""Spacing of the nine pixels of the depth image that are asked."""
+_NEAR_M = 0.1
+
+
+@dataclass(frozen=True)
+class PointTestConfig:
+    """When a point moves.
+
+    Attributes:
+        use_depth: Whether depth and the pose may explain what the homography cannot: parallax. Without, the homography
+            alone decides (the paper's letter), which is right of a scene that is flat, far away, or only turned to.
+        threshold_px: Largest distance of a static point from where it should be in the earlier image [px].
+        tolerance_m, tolerance_share: Two depths agree when they differ by less than the larger of the first and this
+            share of the depth.
+        min_likeness: Normalised correlation from which on a patch counts as found.
+        max_unlikeness: Where depth says that the place was in view, a patch whose correlation stays below this is not
+            there, wherever it may have been.
+        nearest_m: Nothing without a depth is taken to be nearer than this: what parallax can at most be [m].
+        iterations: Steps of the search for a patch.
+    """
+
+    use_depth: bool = True
+    threshold_px: float = 2.5
+    tolerance_m: float = 0.08
+    tolerance_share: float = 0.04
+    min_likeness: float = 0.8
+    max_unlikeness: float = 0.6
+    nearest_m: float = 0.5
+    iterations: int = 8
+
+
+@dataclass(frozen=True)
+class View:
+    """An image as the test reads it.
+
+    Attributes:
+        half, quarter: Brightness at half and a quarter of the size, (H/2, W/2) and (H/4, W/4), distorted.
+        depth_m: Depth (H, W) [m], 0 where unknown.
+    """
+
+    half: U8 = field(repr=False)
+    quarter: U8 = field(repr=False)
+    depth_m: F32 = field(repr=False)
+
+
+@dataclass(frozen=True)
+class PointTest:
+    """A test of the keypoints of the present image against an earlier one; call it with those to be tested.
+
+    Attributes:
+        config: Thresholds.
+        camera: Of both images.
+        now, then: Present and earlier image.
+        raw_px, px, depth_m: The points (N, 2) as taken, (N, 2) undistorted [px], and their depths (N,) [m].
+        T_then_now: Motion of the camera (4, 4).
+        H_then_now: The compensated homography, present to earlier (3, 3).
+    """
+
+    config: PointTestConfig
+    camera: Camera
+    now: View
+    then: View
+    raw_px: F64
+    px: F64
+    depth_m: F64
+    T_then_now: F64
+    H_then_now: F64
+
+    def __call__(self, which: I64) -> I64:
+        """Return UNKNOWN, STATIC or DYNAMIC for each of the points `which` (K,)."""
+        verdicts = np.empty(len(which), dtype=np.int64)
+        self._run(which, verdicts, np.empty((len(which), 2)))
+        return verdicts
+
+    def residuals_px(self, which: I64) -> F64:
+        """Return how far each of the points `which` (K,) is from where pose or homography want it, (K, 2) [px].
+
+        The first is NaN where there is no depth, both where the point was not found in the earlier image.
+        """
+        residual_px = np.empty((len(which), 2))
+        self._run(which, np.empty(len(which), dtype=np.int64), residual_px)
+        return residual_px
+
+    def is_dynamic(self, which: I64) -> Bool:
+        """Tell which of the points `which` (K,) move."""
+        moves: Bool = self(which) == DYNAMIC
+        return moves
+
+    def _run(self, which: I64, verdicts: I64, residual_px: F64) -> None:
+        c, camera = self.config, self.camera
+        judge_points(
+            which,
+            (self.now.half, self.now.quarter, self.then.half, self.then.quarter, self.then.depth_m),
+            (self.raw_px, self.px, self.depth_m),
+            (self.T_then_now, self.H_then_now),
+            np.array([camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion]),
+            np.array([c.threshold_px, c.tolerance_m, c.tolerance_share, c.min_likeness, c.max_unlikeness, c.nearest_m]),
+            c.use_depth,
+            c.iterations,
+            verdicts,
+            residual_px,
+        )
+
+
+@numba.njit(nogil=True, cache=True)
+def distort_into(x: float, y: float, lens: F64, px: F64) -> None:
+    """Write where a camera (fx fy cx cy k1 k2 p1 p2 k3) sees the ray (x, y, 1) in the image as taken, (2,) [px]."""
+    r2 = x * x + y * y
+    radial = 1.0 + r2 * (lens[4] + r2 * (lens[5] + r2 * lens[8]))
+    px[0] = lens[0] * (x * radial + 2.0 * lens[6] * x * y + lens[7] * (r2 + 2.0 * x * x)) + lens[2]
+    px[1] = lens[1] * (y * radial + lens[6] * (r2 + 2.0 * y * y) + 2.0 * lens[7] * x * y) + lens[3]
+
+
+@numba.njit(nogil=True, cache=True)
+def ask_depth(depth_m: F32, px: F64, z: float, tolerance_m: float) -> int:
+    """Tell what a depth image (H, W) shows at a pixel, for a surface that should be z away.
+
+    Returns:
+        STATIC when one of nine pixels agrees, DYNAMIC when all that know lie behind: the place was empty; UNKNOWN else:
+        something stood before it, or nothing is known. −1 outside the image.
+    """
+    column, row = int(px[0] + 0.5), int(px[1] + 0.5)
+    edge = DEPTH_STEP_PX
+    if not (edge <= row < depth_m.shape[0] - edge and edge <= column < depth_m.shape[1] - edge):
+        return -1
+    n_known, n_behind = 0, 0
+    for dy in range(-edge, edge + 1, DEPTH_STEP_PX):
+        for dx in range(-edge, edge + 1, DEPTH_STEP_PX):
+            seen = depth_m[row + dy, column + dx]
+            if seen <= 0.0:
+                continue
+            if abs(seen - z) <= tolerance_m:
+                return STATIC
+            n_known += 1
+            n_behind += seen > z
+    return DYNAMIC if n_known > 0 and n_known == n_behind else UNKNOWN
+
+
+@numba.njit(nogil=True, cache=True)
+def locate(
+    images: tuple[U8, U8, U8, U8, F32],
+    raw: F64,
+    guess: F64,
+    min_likeness: float,
+    max_unlikeness: float,
+    iterations: int,
+    scratch: F64,
+    found: F64,
+) -> int:
+    """Find a point of the present image (2,) in the earlier one, from a guess (2,) on; both as taken [px].
+
+    Near the guess at half size first; where it is not there, farther away at a quarter of the size, then near that.
+
+    Returns:
+        FOUND; ABSENT when what is at the guess is like nothing of it; UNKNOWN else, or where there is no corner.
+    """
+    now_half, now_quarter, then_half, then_quarter, _ = images
+    x, y = 0.5 * raw[0] - 0.25, 0.5 * raw[1] - 0.25
+    u, v = 0.5 * guess[0] - 0.25, 0.5 * guess[1] - 0.25
+    near = find_patch(now_half, x, y, then_half, u, v, iterations, scratch, found)
+    likeness = near
+    if near < min_likeness:
+        u, v = 0.25 * guess[0] - 0.375, 0.25 * guess[1] - 0.375
+        x4, y4 = 0.25 * raw[0] - 0.375, 0.25 * raw[1] - 0.375
+        if find_patch(now_quarter, x4, y4, then_quarter, u, v, iterations, scratch, found) >= min_likeness:
+            u, v = 2.0 * found[0] + 0.5, 2.0 * found[1] + 0.5
+            likeness = find_patch(now_half, x, y, then_half, u, v, iterations, scratch, found)
+    found[0], found[1] = 2.0 * found[0] + 0.5, 2.0 * found[1] + 0.5
+    if likeness >= min_likeness:
+        return FOUND
+    return ABSENT if NOT_SEEN < near < max_unlikeness else UNKNOWN
+
+
+@numba.njit(nogil=True, cache=True)
+def unexplained_px(found: F64, by_plane: F64, T_then_now: F64, lens: F64, nearest_m: float) -> float:
+    """Return what of a point's distance (2,) from where the plane would have it no depth could explain [px].
+
+    A point off the plane is shifted along its epipolar line, by no more than one at `nearest_m` (plane and parallax).
+    """
+    rx, ry = found[0] - by_plane[0], found[1] - by_plane[1]
+    t = T_then_now[:3, 3]
+    # The direction to the epipole, which is where the camera stood: K t, at infinity when it moved sideways.
+    ex = lens[0] * t[0] + (lens[2] - by_plane[0]) * t[2]
+    ey = lens[1] * t[1] + (lens[3] - by_plane[1]) * t[2]
+    norm = np.sqrt(ex * ex + ey * ey)
+    if norm < 1e-6:
+        return float(np.sqrt(rx * rx + ry * ry))
+    along, across = (rx * ex + ry * ey) / norm, (rx * ey - ry * ex) / norm
+    beyond = max(0.0, abs(along) - norm / nearest_m)
+    return float(np.sqrt(across * across + beyond * beyond))
+
+
+@numba.njit(nogil=True, cache=True)
+def judge_points(
+    which: I64,
+    images: tuple[U8, U8, U8, U8, F32],
+    points: tuple[F64, F64, F64],
+    motions: tuple[F64, F64],
+    lens: F64,
+    limits: F64,
+    use_depth: bool,
+    iterations: int,
+    verdicts: I64,
+    residual_px: F64,
+) -> None:
+    """Write verdicts (K,) and residuals (K, 2) [px] of the points `which` (K,); see `PointTest`."""
+    raw_px, px, depth_m = points
+    T, H = motions
+    threshold_px, tolerance_m, tolerance_share, min_likeness, max_unlikeness, nearest_m = limits
+    then_depth_m = images[4]
+    scratch = np.empty((4, N_PIXELS))
+    by_pose, by_plane, found = np.empty(2), np.empty(2), np.empty(2)
+    for k in range(len(which)):
+        i = which[k]
+        verdicts[k] = UNKNOWN
+        residual_px[k, :] = np.nan
+        x, y = px[i, 0], px[i, 1]
+        w = H[2, 0] * x + H[2, 1] * y + H[2, 2]
+        hx, hy = (H[0, 0] * x + H[0, 1] * y + H[0, 2]) / w, (H[1, 0] * x + H[1, 1] * y + H[1, 2]) / w
+        distort_into((hx - lens[2]) / lens[0], (hy - lens[3]) / lens[1], lens, by_plane)
+        deep, shown = use_depth and depth_m[i] > 0.0, UNKNOWN
+        if deep:
+            rx, ry, z = (x - lens[2]) / lens[0] * depth_m[i], (y - lens[3]) / lens[1] * depth_m[i], depth_m[i]
+            there = T[2, 0] * rx + T[2, 1] * ry + T[2, 2] * z + T[2, 3]
+            if there < _NEAR_M:
+                continue
+            tx = (T[0, 0] * rx + T[0, 1] * ry + T[0, 2] * z + T[0, 3]) / there
+            ty = (T[1, 0] * rx + T[1, 1] * ry + T[1, 2] * z + T[1, 3]) / there
+            distort_into(tx, ty, lens, by_pose)
+            shown = ask_depth(then_depth_m, by_pose, there, max(tolerance_m, tolerance_share * there))
+            if shown == UNKNOWN and then_depth_m[int(by_pose[1] + 0.5), int(by_pose[0] + 0.5)] > 0.0:
+                continue  # Something stood before it.
+        guess = by_pose if deep else by_plane
+        state = locate(images, raw_px[i], guess, min_likeness, max_unlikeness, iterations, scratch, found)
+        if state != FOUND:
+            if shown == DYNAMIC or (shown == STATIC and state == ABSENT):
+                verdicts[k] = DYNAMIC
+            continue
+        plane_px = np.sqrt((found[0] - by_plane[0]) ** 2 + (found[1] - by_plane[1]) ** 2)
+        off_px = plane_px
+        residual_px[k, 1] = plane_px
+        if deep:
+            residual_px[k, 0] = np.sqrt((found[0] - by_pose[0]) ** 2 + (found[1] - by_pose[1]) ** 2)
+            off_px = min(residual_px[k, 0], plane_px)
+        elif use_depth:
+            off_px = unexplained_px(found, by_plane, T, lens, nearest_m)
+        # A place that was empty says less than being there: at outlines depth is often that of the other side.
+        verdicts[k] = DYNAMIC if off_px > threshold_px else STATIC

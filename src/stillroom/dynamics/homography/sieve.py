@@ -1,0 +1,196 @@
+"""PSPNet-SLAM's geometry as a match sieve: what the compensated homography does not explain, found along a path."""
+
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+
+from stillroom.data.frame import Frame
+from stillroom.data.map import Map
+from stillroom.data.matches import Matches
+from stillroom.data.motion import Motion, Stage
+from stillroom.data.semantics import Semantics
+from stillroom.dynamics.ants.search import Found, ReverseSearchConfig, exhaustive, within
+from stillroom.dynamics.homography.compensation import CameraMotion, Compensation, CompensationConfig
+from stillroom.dynamics.homography.past import Past, view_of
+from stillroom.dynamics.homography.point_test import DYNAMIC, UNKNOWN, PointTest, PointTestConfig, View
+from stillroom.errors import ConfigError
+from stillroom.geometry import se3
+from stillroom.geometry.arrays import F64, I64, Bool
+from stillroom.protocols import Pending
+
+SEARCHES = ("reverse", "exhaustive")
+
+
+@dataclass(frozen=True)
+class CompensatedHomographyConfig:
+    """The sieve of the `pspnet-slam` preset (PSPNet-SLAM III.B and III.C).
+
+    The keypoints outside the masks are followed to an earlier image; a homography is fitted to them, and compensated.
+    Those of them that a path leads past are tested: a point moves when it was elsewhere in the earlier image than the
+    homography says, or its place was empty.
+
+    Differs from the paper: one homography cannot explain a scene with depth, in which static points shift by their
+    parallax. So a point is static, too, when the camera's motion in space and its depth explain where it was, and one
+    without a depth when it was shifted along its epipolar line. The earlier image is not the very last one, to which
+    little has moved. The paper's own rule is `test.use_depth = false`, `earlier_s = 0`.
+
+    Attributes:
+        earlier_s: Age of the image that the present one is compared with [s].
+        min_matches: The sieve is off where fewer matches than this would stay.
+        search: reverse, along the path; or exhaustive, every point.
+        depth_margin_m: Pixels in the hull of a moving community move when their depth is that of its points, or at
+            most this much nearer or farther; the wall behind it does not.
+        compensation: How the camera's motion is found.
+        test: When a point moves.
+        ants: The path and the search along it.
+    """
+
+    earlier_s: float = 0.1
+    min_matches: int = 20
+    search: str = "reverse"
+    depth_margin_m: float = 0.2
+    compensation: CompensationConfig = field(default_factory=CompensationConfig)
+    test: PointTestConfig = field(default_factory=PointTestConfig)
+    ants: ReverseSearchConfig = field(default_factory=ReverseSearchConfig)
+
+    def build(self, seed: int = 0) -> "CompensatedHomographySieve":
+        """Return the sieve; the seed is that of MAGSAC and of the ants.
+
+        Raises:
+            ConfigError: There is no such search.
+        """
+        if self.search not in SEARCHES:
+            raise ConfigError(f"search is '{self.search}'; it must be one of {', '.join(SEARCHES)}")
+        return CompensatedHomographySieve(self, seed)
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What the geometry says of an image; kept for pictures and tests.
+
+    Attributes:
+        index: Number of the image.
+        candidates: Keypoints outside the masks (K,), which the search was about.
+        found: What it found; its points are the candidates.
+        verdicts: What the test said of each candidate (K,), UNKNOWN where it was not asked.
+        camera_motion: How the camera moved.
+        test: The test, which can be asked of other points.
+    """
+
+    index: int
+    candidates: I64
+    found: Found
+    verdicts: I64
+    camera_motion: CameraMotion
+    test: PointTest = field(repr=False)
+
+
+class CompensatedHomographySieve:
+    """Sieve 2 of `pspnet-slam`. An image is judged when it is first asked about, with the pose known by then."""
+
+    def __init__(self, config: CompensatedHomographyConfig, seed: int = 0) -> None:
+        """Start without a past."""
+        self.config, self.seed = config, seed
+        self._compensation = Compensation(config.compensation, seed)
+        self._past = Past(config.earlier_s)
+        self._asked: Frame | None = None
+        self.findings: Findings | None = None
+
+    def judge(
+        self,
+        stage: Stage,
+        frame: Frame,
+        matches: Matches,
+        semantics: Pending[Semantics],
+        T_cam_world: F64,
+        world: Map,
+    ) -> Motion:
+        """Judge by the masks, and outside them by geometry."""
+        nothing_moves = Motion.none(len(frame), frame.image.height, frame.image.width)
+        if stage is Stage.RELOCALIZATION:
+            return nothing_moves
+        known = semantics.result()
+        if self._asked is None or self._asked.image is not frame.image:
+            self._view, self.findings = view_of(frame.image), None
+        if self.findings is None or self._asked is None or self._asked.keypoints is not frame.keypoints:
+            # A later stage asks with a better pose, in case the first one's led nowhere.
+            self.findings = self.examine(frame, known, self._view, T_cam_world)
+        self._asked = frame
+        motion = self._verdict(frame, known)
+        if stage is Stage.LOCAL_MAP:
+            self._past.remember(frame, self._view, T_cam_world)
+        stay = int(np.count_nonzero(motion.is_static[matches.keypoint]))
+        return nothing_moves if stay < self.config.min_matches <= len(matches) else motion
+
+    def examine(self, frame: Frame, known: Semantics, view: View, T_cam_world: F64) -> Findings | None:
+        """Return what the geometry says; None where there is nothing to compare with, or it cannot be compared."""
+        earlier = self._past.before(frame)
+        if earlier is None or earlier.view.depth_m.shape != view.depth_m.shape:
+            return None
+        masked = known.movable_at(frame.keypoints.raw_px)
+        guess = earlier.T_cam_world @ se3.inverse(T_cam_world)
+        camera_motion = self._compensation(frame, masked, view.half, earlier.view.half, guess)
+        if camera_motion is None:
+            return None
+        kp, config = frame.keypoints, self.config
+        candidates = np.flatnonzero(~masked)
+        test = PointTest(
+            config.test,
+            frame.camera,
+            view,
+            earlier.view,
+            kp.raw_px[candidates].astype(np.float64),
+            kp.px[candidates].astype(np.float64),
+            np.asarray(kp.depth_m[candidates], dtype=np.float64),
+            camera_motion.T_then_now,
+            np.asarray(np.linalg.inv(camera_motion.H_now_then), dtype=np.float64),
+        )
+        verdicts = np.full(len(candidates), UNKNOWN, dtype=np.int64)
+
+        def is_dynamic(which: I64) -> Bool:
+            verdicts[which] = test(which)
+            return np.asarray(verdicts[which] == DYNAMIC)
+
+        if config.search == "exhaustive":
+            found = _communities_of(test.raw_px, exhaustive(test.raw_px, is_dynamic), config.ants)
+        else:
+            found = config.ants.search(test.raw_px, is_dynamic, self.seed)
+        return Findings(frame.image.index, candidates, found, verdicts, camera_motion, test)
+
+    def _verdict(self, frame: Frame, known: Semantics) -> Motion:
+        """Put together what the masks and the geometry say."""
+        moving = known.movable.copy()
+        is_static = ~known.movable_at(frame.keypoints.raw_px)
+        findings = self.findings
+        if findings is None:
+            return Motion(is_static, moving)
+        is_static[findings.candidates[findings.found.is_dynamic]] = False
+        test = findings.test
+        for hull_px, members in zip(findings.found.hulls, findings.found.members, strict=True):
+            depth_m = test.depth_m[members]
+            depth_m = depth_m[depth_m > 0]
+            margin_m = self.config.depth_margin_m
+            low_m, high_m = (depth_m.min() - margin_m, depth_m.max() + margin_m) if len(depth_m) else (0.0, np.inf)
+            moving |= _filled(hull_px, frame.image.depth_m, low_m, high_m)
+            # What could not be tested goes with the community that it is surrounded by.
+            is_inside = np.empty(len(test.raw_px), dtype=np.bool_)
+            within(test.raw_px, hull_px, 1.0, is_inside)
+            lone = is_inside & (findings.verdicts == UNKNOWN)
+            lone &= (test.depth_m <= 0) | ((test.depth_m >= low_m) & (test.depth_m <= high_m))
+            is_static[findings.candidates[lone]] = False
+        return Motion(is_static, moving)
+
+
+def _communities_of(points_px: F64, is_dynamic: Bool, config: ReverseSearchConfig) -> Found:
+    """Return the communities of points (N, 2) that are all known."""
+    again = config.search(points_px, lambda which: is_dynamic[which])
+    return Found(is_dynamic, np.ones(len(points_px), dtype=np.bool_), again.path_px, again.hulls, again.members)
+
+
+def _filled(hull_px: F64, depth_m: np.ndarray, low_m: float, high_m: float) -> Bool:
+    """Return the pixels (H, W) of a hull (k, 2) whose depth lies in a range, or is unknown."""
+    filled = np.zeros(depth_m.shape, dtype=np.uint8)
+    cv2.fillConvexPoly(filled, np.rint(hull_px).astype(np.int32), 1)
+    in_range = (depth_m <= 0) | ((depth_m >= low_m) & (depth_m <= high_m))
+    return np.asarray(filled.astype(np.bool_) & in_range)

@@ -1,0 +1,223 @@
+"""The sieve on rendered rooms, whose figures and boxes are known to the pixel."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from stillroom.data.frame import Frame
+from stillroom.data.map import Map
+from stillroom.data.matches import Matches
+from stillroom.data.motion import Motion, Stage
+from stillroom.data.semantics import Semantics, nothing
+from stillroom.datasets.open import open_dataset
+from stillroom.datasets.selection import select
+from stillroom.dynamics.homography.compensation import CompensationConfig, choose_probes
+from stillroom.dynamics.homography.past import Past, view_of
+from stillroom.dynamics.homography.sieve import CompensatedHomographyConfig, CompensatedHomographySieve
+from stillroom.errors import ConfigError
+from stillroom.features.orb import OrbConfig
+from stillroom.geometry import homography, se3
+from stillroom.schedule import Done
+
+CARRIED = "synthetic:carried,frames=180,cache=off"
+FRAMES = (165, 168, 171, 174)
+"""The box is carried across the room in these; a tenth of a second apart."""
+
+
+@pytest.fixture(scope="module")
+def seen() -> list[tuple[Frame, np.ndarray]]:
+    """Frames with the true poses that they were taken from."""
+    dataset = open_dataset(CARRIED)
+    orb = OrbConfig().build(dataset.camera)
+    poses = dataset.groundtruth.T_world_cam
+    return [(orb.extract(dataset.load(k)), se3.inverse(poses[k])) for k in FRAMES]
+
+
+def ask(
+    sieve: CompensatedHomographySieve,
+    frame: Frame,
+    T_cam_world: np.ndarray,
+    known: Semantics | None = None,
+    stage: Stage = Stage.LOCAL_MAP,
+    matches: Matches | None = None,
+) -> Motion:
+    matches = matches or Matches.of(np.full(len(frame), -1, np.int32))
+    known = known or nothing(frame.image.height, frame.image.width)
+    return sieve.judge(stage, frame, matches, Done(known), T_cam_world, Map(frame.scales))
+
+
+def run(config: CompensatedHomographyConfig, seen: list, seed: int = 0, known=lambda frame: None) -> list[Motion]:
+    sieve = config.build(seed)
+    return [ask(sieve, frame, T_cam_world, known(frame)) for frame, T_cam_world in seen]
+
+
+def places(frame: Frame) -> tuple[np.ndarray, np.ndarray]:
+    """Which keypoints lie on what may move, and which clear of it by 12 pixels."""
+    column, row = np.rint(frame.keypoints.raw_px).astype(int).T
+    around = cv2.dilate(frame.image.truth.movable.astype(np.uint8), np.ones((25, 25)))
+    return frame.image.truth.movable[row, column], around[row, column] == 0
+
+
+@pytest.mark.parametrize("search", ["reverse", "exhaustive"])
+def test_what_moves_is_found_without_a_network_and_what_stands_is_left_alone(seen: list, search: str) -> None:
+    hits, wrong, n_clear, outside = 0, 0, 0, 0
+    for (frame, _), motion in zip(seen[1:], run(CompensatedHomographyConfig(search=search), seen)[1:], strict=True):
+        on, clear = places(frame)
+        hits += np.count_nonzero(~motion.is_static[on])
+        wrong += np.count_nonzero(~motion.is_static[clear])
+        n_clear += np.count_nonzero(clear)
+        around = cv2.dilate(frame.image.truth.movable.astype(np.uint8), np.ones((41, 41))) > 0
+        outside += np.count_nonzero(motion.moving & ~around)
+        assert motion.moving.any()
+    assert hits > 60
+    assert wrong < 0.01 * n_clear
+    assert outside < 0.01 * 3 * 640 * 480
+
+
+def test_the_search_finds_what_testing_everything_does(seen: list) -> None:
+    both = [run(CompensatedHomographyConfig(search=search), seen)[1:] for search in ("reverse", "exhaustive")]
+    moving = [np.concatenate([~motion.is_static for motion in motions]) for motions in both]
+    assert np.mean(moving[0][moving[1]]) > 0.9
+    sieve = CompensatedHomographyConfig().build(0)
+    for frame, T_cam_world in seen:
+        ask(sieve, frame, T_cam_world)
+    assert sieve.findings.found.share_tested < 0.85
+
+
+@pytest.mark.parametrize("path", ["serpentine", "ants"])
+def test_the_same_seed_gives_the_same_verdicts(seen: list, path: str) -> None:
+    config = CompensatedHomographyConfig()
+    config = replace(config, ants=replace(config.ants, path=replace(config.ants.path, kind=path)))
+    for first, second in zip(run(config, seen, 4), run(config, seen, 4), strict=True):
+        np.testing.assert_array_equal(first.is_static, second.is_static)
+        np.testing.assert_array_equal(first.moving, second.moving)
+
+
+def test_a_poor_guess_of_the_pose_changes_little(seen: list) -> None:
+    good = run(CompensatedHomographyConfig(), seen)[1:]
+    sieve = CompensatedHomographyConfig().build(0)
+    off = se3.exp(np.array([0.02, -0.01, 0.01, 0.004, -0.008, 0.005]))
+    for k, (frame, T_cam_world) in enumerate(seen):
+        motion = ask(sieve, frame, off @ T_cam_world, stage=Stage.MOTION_MODEL)
+        ask(sieve, frame, T_cam_world)
+        if k > 0:
+            assert np.mean(motion.is_static != good[k - 1].is_static) < 0.02
+
+
+def test_all_stages_of_an_image_say_the_same_and_examine_it_once(seen: list) -> None:
+    sieve = CompensatedHomographyConfig().build(0)
+    ask(sieve, *seen[0])
+    frame, T_cam_world = seen[1]
+    first = ask(sieve, frame, T_cam_world, stage=Stage.MOTION_MODEL)
+    findings = sieve.findings
+    second = ask(sieve, frame, T_cam_world, stage=Stage.LOCAL_MAP)
+    assert sieve.findings is findings
+    np.testing.assert_array_equal(first.is_static, second.is_static)
+    assert not first.is_static.all()
+    assert ask(sieve, frame, T_cam_world, stage=Stage.RELOCALIZATION).is_static.all()
+
+
+def test_masks_go_whole_and_geometry_adds_what_they_lack(seen: list) -> None:
+    mask = np.zeros((480, 640), dtype=bool)
+    mask[:, :100] = True
+    motions = run(CompensatedHomographyConfig(), seen, known=lambda frame: Semantics(480, 640, mask=mask))
+    for k, ((frame, _), motion) in enumerate(zip(seen, motions, strict=True)):
+        left = frame.keypoints.raw_px[:, 0] < 99
+        assert not motion.is_static[left].any()
+        assert motion.moving[:, :100].all()
+        assert motion.moving[:, 110:].any() == (k > 0)
+    assert motions[0].is_static[seen[0][0].keypoints.raw_px[:, 0] > 101].all(), "the first image has no past"
+    assert mask.sum() == 480 * 100, "the mask itself is left as it was"
+
+
+def test_off_where_too_few_matches_would_stay(seen: list) -> None:
+    sieve = CompensatedHomographyConfig().build(0)
+    frame, T_cam_world = seen[0]
+    ids = np.full(len(frame), -1, np.int32)
+    ids[:50] = np.arange(50)
+    everything = Semantics(480, 640, mask=np.ones((480, 640), dtype=bool))
+    motion = ask(sieve, frame, T_cam_world, everything, matches=Matches.of(ids))
+    assert motion.is_static.all()
+    assert not motion.moving.any()
+
+
+def test_an_empty_room_is_static() -> None:
+    dataset = select(open_dataset("synthetic:empty,frames=40,cache=off"), "20:32")
+    orb, sieve = OrbConfig().build(dataset.camera), CompensatedHomographyConfig().build(0)
+    poses = dataset.groundtruth.T_world_cam[20:32]
+    wrong = n = 0
+    for k in range(0, 12, 3):
+        frame = orb.extract(dataset.load(k))
+        motion = ask(sieve, frame, se3.inverse(poses[k]))
+        wrong, n = wrong + np.count_nonzero(~motion.is_static), n + len(frame)
+    assert sieve.findings is not None
+    assert wrong < 0.003 * n
+
+
+def test_the_motion_and_the_homography_are_the_true_ones(seen: list) -> None:
+    sieve = CompensatedHomographyConfig().build(0)
+    for frame, T_cam_world in seen[:2]:
+        ask(sieve, frame, T_cam_world)
+    found = sieve.findings.camera_motion
+    true = seen[0][1] @ se3.inverse(seen[1][1])
+    error = se3.inverse(true) @ found.T_then_now
+    assert np.linalg.norm(error[:3, 3]) < 0.01
+    assert se3.angle_rad(error) < 0.004
+    assert found.fit is not None
+    assert found.fit.rms_px < 1.5
+    moved = homography.apply(found.H_now_then, found.then_px[found.fit.is_inlier])
+    assert np.median(np.linalg.norm(moved - found.now_px[found.fit.is_inlier], axis=1)) < 1.5
+
+
+def test_compensation_is_better_than_the_plain_homography_on_the_same_pairs(seen: list) -> None:
+    rms = {}
+    for refine in (False, True):
+        compensation = CompensationConfig(magsac=False, refine=refine)
+        sieve = CompensatedHomographyConfig(compensation=compensation).build(0)
+        for frame, T_cam_world in seen:
+            ask(sieve, frame, T_cam_world)
+        rms[refine] = np.median(
+            homography.transfer_errors_px(
+                sieve.findings.camera_motion.H_now_then,
+                sieve.findings.camera_motion.then_px,
+                sieve.findings.camera_motion.now_px,
+            )
+        )
+    assert rms[True] < rms[False]
+
+
+def test_the_past_reaches_back_as_far_as_asked(seen: list) -> None:
+    frame = seen[0][0]
+    past, view = Past(0.1), view_of(frame.image)
+    for k in range(20):
+        now = replace(frame, image=replace(frame.image, index=k, timestamp_s=k / 30))
+        earlier = past.before(now)
+        expected = None if k == 0 else max(0, k - 3)
+        assert (None if earlier is None else earlier.index) == expected
+        past.remember(now, view, np.eye(4))
+        past.remember(now, view, np.eye(4))
+    late = replace(frame, image=replace(frame.image, index=99, timestamp_s=9.0))
+    assert past.before(late) is None
+
+
+def test_probes_are_spread_and_those_with_depth_come_first() -> None:
+    rng = np.random.default_rng(0)
+    px = np.vstack((rng.uniform(0, 40, (500, 2)), rng.uniform((0, 0), (640, 480), (300, 2))))
+    has_depth, usable = rng.random(800) < 0.5, rng.random(800) < 0.8
+    chosen = choose_probes(px, has_depth, usable, 150)
+    assert len(chosen) == len(set(chosen.tolist())) == 150
+    assert usable[chosen].all()
+    assert np.all(px[chosen] < 40, axis=1).sum() < 10, "a crowd in one cell does not crowd out the others"
+    cell = (px // 40).astype(int) @ (1, 1000)
+    for one in np.unique(cell[chosen]):
+        taken = chosen[cell[chosen] == one]
+        left = np.setdiff1d(np.flatnonzero((cell == one) & usable), taken)
+        assert not (has_depth[left].any() and not has_depth[taken].all())
+    assert len(choose_probes(px, has_depth, np.zeros(800, dtype=bool), 150)) == 0
+
+
+def test_an_unknown_search_is_refused() -> None:
+    with pytest.raises(ConfigError, match="search is 'random'; it must be one of reverse, exhaustive"):
+        CompensatedHomographyConfig(search="random").build()

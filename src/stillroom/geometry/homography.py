@@ -13,7 +13,7 @@ MIN_PAIRS = 8
 
 _FIRST_DAMPING = 1e-3
 _MAX_DAMPING = 1e8
-_TINY_DECREASE = 1e-9
+_TINY_DECREASE = 1e-6
 _CHOICES = 2
 _LIMIT_IN_MEDIANS = 3.5  # 99.98 % of normal errors in the plane, whose median is 1.18 standard deviations
 _LEAST_LIMIT_PX = 0.1

@@ -54,20 +54,19 @@ class Past:
         self._age_s = age_s
         self._images: list[EarlierImage] = []
 
-    def before(self, frame: Frame) -> EarlierImage | None:
-        """Return the youngest earlier image that is old enough, else the oldest; None where there is none."""
+    def before(self, frame: Frame) -> list[EarlierImage]:
+        """Return the images to try, at most two: the youngest that is old enough, else the oldest; and the youngest."""
         now_s = frame.timestamp_s
         earlier = [image for image in self._images if now_s - TOO_OLD_S <= image.timestamp_s < now_s]
         if not earlier:
-            return None
+            return []
         # A tenth less: frames come a little early at times.
         old = [image for image in earlier if now_s - image.timestamp_s >= 0.9 * self._age_s]
-        return old[-1] if old else earlier[0]
+        first = old[-1] if old else earlier[0]
+        return [first] if first is earlier[-1] else [first, earlier[-1]]
 
     def remember(self, frame: Frame, view: View, T_cam_world: F64) -> None:
         """Keep an image, once; forget those that no later one will be compared with."""
-        oldest = self.before(frame)
-        kept = [image for image in self._images if image.timestamp_s < frame.timestamp_s]
-        if oldest is not None:
-            kept = [image for image in kept if image.timestamp_s >= oldest.timestamp_s]
+        oldest_s = min((image.timestamp_s for image in self.before(frame)), default=frame.timestamp_s)
+        kept = [image for image in self._images if oldest_s <= image.timestamp_s < frame.timestamp_s]
         self._images = [*kept, EarlierImage(frame.image.index, frame.timestamp_s, view, T_cam_world.copy())]

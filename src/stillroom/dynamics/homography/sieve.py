@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 
 import cv2
+import numba
 import numpy as np
 
 from stillroom.data.frame import Frame
@@ -10,13 +11,13 @@ from stillroom.data.map import Map
 from stillroom.data.matches import Matches
 from stillroom.data.motion import Motion, Stage
 from stillroom.data.semantics import Semantics
-from stillroom.dynamics.ants.search import Found, ReverseSearchConfig, exhaustive, within
+from stillroom.dynamics.ants.search import Found, ReverseSearchConfig, exhaustive
 from stillroom.dynamics.homography.compensation import CameraMotion, Compensation, CompensationConfig
 from stillroom.dynamics.homography.past import Past, view_of
 from stillroom.dynamics.homography.point_test import DYNAMIC, UNKNOWN, PointTest, PointTestConfig, View
 from stillroom.errors import ConfigError
 from stillroom.geometry import se3
-from stillroom.geometry.arrays import F64, I64, Bool
+from stillroom.geometry.arrays import F32, F64, I64, U8, Bool
 from stillroom.protocols import Pending
 
 SEARCHES = ("reverse", "exhaustive")
@@ -39,8 +40,8 @@ class CompensatedHomographyConfig:
         earlier_s: Age of the image that the present one is compared with [s].
         min_matches: The sieve is off where fewer matches than this would stay.
         search: reverse, along the path; or exhaustive, every point.
-        depth_margin_m: Pixels in the hull of a moving community move when their depth is that of its points, or at
-            most this much nearer or farther; the wall behind it does not.
+        fill_px, fill_m: Pixels in the hull of a moving community move when they are this near to one of its points, in
+            the image and in depth; the wall behind it does not.
         compensation: How the camera's motion is found.
         test: When a point moves.
         ants: The path and the search along it.
@@ -49,7 +50,8 @@ class CompensatedHomographyConfig:
     earlier_s: float = 0.1
     min_matches: int = 20
     search: str = "reverse"
-    depth_margin_m: float = 0.2
+    fill_px: float = 40.0
+    fill_m: float = 0.15
     compensation: CompensationConfig = field(default_factory=CompensationConfig)
     test: PointTestConfig = field(default_factory=PointTestConfig)
     ants: ReverseSearchConfig = field(default_factory=ReverseSearchConfig)
@@ -125,21 +127,24 @@ class CompensatedHomographySieve:
 
     def examine(self, frame: Frame, known: Semantics, view: View, T_cam_world: F64) -> Findings | None:
         """Return what the geometry says; None where there is nothing to compare with, or it cannot be compared."""
-        earlier = self._past.before(frame)
-        if earlier is None or earlier.view.depth_m.shape != view.depth_m.shape:
-            return None
         masked = known.movable_at(frame.keypoints.raw_px)
-        guess = earlier.T_cam_world @ se3.inverse(T_cam_world)
-        camera_motion = self._compensation(frame, masked, view.half, earlier.view.half, guess)
-        if camera_motion is None:
-            return None
+        for earlier in self._past.before(frame):
+            guess = earlier.T_cam_world @ se3.inverse(T_cam_world)
+            camera_motion = self._compensation(frame, masked, view.half, earlier.view.half, guess)
+            if camera_motion is not None:
+                return self._search(frame, np.flatnonzero(~masked), view, earlier.view, camera_motion)
+        return None
+
+    def _search(
+        self, frame: Frame, candidates: I64, view: View, earlier: View, camera_motion: CameraMotion
+    ) -> Findings:
+        """Test the candidates (K,) along the path, or all of them."""
         kp, config = frame.keypoints, self.config
-        candidates = np.flatnonzero(~masked)
         test = PointTest(
             config.test,
             frame.camera,
             view,
-            earlier.view,
+            earlier,
             kp.raw_px[candidates].astype(np.float64),
             kp.px[candidates].astype(np.float64),
             np.asarray(kp.depth_m[candidates], dtype=np.float64),
@@ -166,20 +171,23 @@ class CompensatedHomographySieve:
         if findings is None:
             return Motion(is_static, moving)
         is_static[findings.candidates[findings.found.is_dynamic]] = False
-        test = findings.test
-        for hull_px, members in zip(findings.found.hulls, findings.found.members, strict=True):
-            depth_m = test.depth_m[members]
-            depth_m = depth_m[depth_m > 0]
-            margin_m = self.config.depth_margin_m
-            low_m, high_m = (depth_m.min() - margin_m, depth_m.max() + margin_m) if len(depth_m) else (0.0, np.inf)
-            moving |= _filled(hull_px, frame.image.depth_m, low_m, high_m)
-            # What could not be tested goes with the community that it is surrounded by.
-            is_inside = np.empty(len(test.raw_px), dtype=np.bool_)
-            within(test.raw_px, hull_px, 1.0, is_inside)
-            lone = is_inside & (findings.verdicts == UNKNOWN)
-            lone &= (test.depth_m <= 0) | ((test.depth_m >= low_m) & (test.depth_m <= high_m))
-            is_static[findings.candidates[lone]] = False
-        return Motion(is_static, moving)
+        test, found = findings.test, findings.found
+        geometry = np.zeros_like(moving)
+        for hull_px, members in zip(found.hulls, found.members, strict=True):
+            geometry |= self._filled(hull_px, test.raw_px[members], test.depth_m[members], frame.image.depth_m)
+        # What could not be tested goes with the community that it lies in.
+        column, row = np.rint(test.raw_px).astype(np.int64).T
+        lone = geometry[row, column] & (findings.verdicts == UNKNOWN)
+        is_static[findings.candidates[lone]] = False
+        return Motion(is_static, moving | geometry)
+
+    def _filled(self, hull_px: F64, members_px: F64, members_m: F64, depth_m: F32) -> Bool:
+        """Return the pixels (H, W) of a community: in its hull (k, 2), and near a member (M, 2) in all respects."""
+        hull = np.zeros(depth_m.shape, dtype=np.uint8)
+        cv2.fillConvexPoly(hull, np.rint(hull_px).astype(np.int32), 1)
+        filled = np.zeros(depth_m.shape, dtype=np.bool_)
+        fill(hull, members_px, members_m, self.config.fill_px, self.config.fill_m, depth_m, filled)
+        return filled
 
 
 def _communities_of(points_px: F64, is_dynamic: Bool, config: ReverseSearchConfig) -> Found:
@@ -188,9 +196,22 @@ def _communities_of(points_px: F64, is_dynamic: Bool, config: ReverseSearchConfi
     return Found(is_dynamic, np.ones(len(points_px), dtype=np.bool_), again.path_px, again.hulls, again.members)
 
 
-def _filled(hull_px: F64, depth_m: np.ndarray, low_m: float, high_m: float) -> Bool:
-    """Return the pixels (H, W) of a hull (k, 2) whose depth lies in a range, or is unknown."""
-    filled = np.zeros(depth_m.shape, dtype=np.uint8)
-    cv2.fillConvexPoly(filled, np.rint(hull_px).astype(np.int32), 1)
-    in_range = (depth_m <= 0) | ((depth_m >= low_m) & (depth_m <= high_m))
-    return np.asarray(filled.astype(np.bool_) & in_range)
+@numba.njit(nogil=True, cache=True)
+def fill(
+    hull: U8, members_px: F64, members_m: F64, radius_px: float, margin_m: float, depth_m: F32, filled: Bool
+) -> None:
+    """Mark the pixels (H, W) of a hull that are near a member (M, 2) [px], (M,) [m]: in the image, and in depth.
+
+    A pixel without a depth is near in depth; a member without one is near only such pixels.
+    """
+    height, width = hull.shape
+    for k in range(len(members_px)):
+        x, y = members_px[k]
+        for row in range(max(0, int(np.ceil(y - radius_px))), min(height, int(y + radius_px) + 1)):
+            half = np.sqrt(max(0.0, radius_px * radius_px - (row - y) * (row - y)))
+            for column in range(max(0, int(np.ceil(x - half))), min(width, int(x + half) + 1)):
+                if hull[row, column] == 0 or filled[row, column]:
+                    continue
+                z = depth_m[row, column]
+                if z <= 0.0 or (members_m[k] > 0.0 and abs(z - members_m[k]) <= margin_m):
+                    filled[row, column] = True

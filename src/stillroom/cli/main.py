@@ -49,6 +49,11 @@ COMMANDS = (
     ),
     Command("run", "stillroom.cli.run:run", "Track the camera through a sequence."),
     Command("evaluate", "stillroom.cli.evaluate:evaluate", "Say how good a trajectory is."),
+    Command(
+        "inpaint",
+        "stillroom.cli.inpaint:inpaint",
+        "Paint what moves out of a sequence, from what the last keyframes saw behind it.",
+    ),
     Command("export", "stillroom.cli.export:export", "Turn the dense map of a run into files for other programs."),
     Command("methods", "stillroom.cli.describe.methods:methods", "List the methods."),
     Command(

@@ -1,6 +1,6 @@
 """What can be asked of a run: which images it is given, and what it does beside tracking."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -8,7 +8,8 @@ from typing import Any
 from stillroom.datasets.open import open_dataset
 from stillroom.datasets.selection import parse_range, select
 from stillroom.errors import ConfigError
-from stillroom.protocols import Dataset, Segmenter
+from stillroom.protocols import Dataset, RunObserver, Segmenter
+from stillroom.system import Slam
 
 
 @dataclass(frozen=True)
@@ -51,6 +52,7 @@ class RunOptions:
         pictures: How many frames are drawn, spread evenly; 0 for none, and no plots either.
         detector_off: Ranges of image numbers, first and one past the last, in which the detector finds nothing.
         segmenter: Stands in for the config's; for a segmenter that was built already.
+        observe: Makes somebody who looks on, of the system that is run.
         source: Where the images come from; noted in config.toml.
         asked: What else is to be noted there.
     """
@@ -60,6 +62,7 @@ class RunOptions:
     pictures: int = 8
     detector_off: tuple[tuple[int, int], ...] = ()
     segmenter: Segmenter | None = None
+    observe: Callable[[Slam], RunObserver] | None = None
     source: Source | None = None
     asked: dict[str, Any] = field(default_factory=dict)
 

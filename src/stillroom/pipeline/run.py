@@ -57,10 +57,11 @@ def run(
     if folder is not None:
         results.write_config(folder, dataset, config, options)
     with StopRequest() as stop, _concluded_in_any_case(outcome, dataset, stop, options.pictures > 0):
-        recorder = _recorder(folder, dataset, options.pictures)
+        onlookers = [_recorder(folder, dataset, options.pictures)]
+        onlookers += [options.observe(slam)] if options.observe is not None else []
         progress.start(len(dataset))
         try:
-            _track_all(dataset, outcome, stop, newest, recorder, progress)
+            _track_all(dataset, outcome, stop, newest, onlookers, progress)
         finally:
             progress.finish()
             slam.close()
@@ -83,7 +84,7 @@ def _track_all(
     outcome: RunOutcome,
     stop: StopRequest,
     newest: "_Newest",
-    recorder: RunObserver,
+    onlookers: list[RunObserver],
     progress: Progress,
 ) -> None:
     slam, clock, remarks = outcome.slam, outcome.clock, Remarks()
@@ -105,7 +106,7 @@ def _track_all(
             result = slam.process(image)
         clock.next_frame(image.index)
         remarks.frame(image, result)
-        newest.show(recorder)
+        newest.show(onlookers)
         progress.frame(result)
 
 
@@ -172,8 +173,9 @@ class _Newest:
     def on_frame(self, tracked: Tracked, semantics: Semantics, result: FrameResult) -> None:
         self._seen = (tracked, semantics, result)
 
-    def show(self, observer: RunObserver) -> None:
-        """Let somebody look at it."""
+    def show(self, onlookers: list[RunObserver]) -> None:
+        """Let them look at it."""
         if self._seen is not None:
-            observer.on_frame(*self._seen)
+            for onlooker in onlookers:
+                onlooker.on_frame(*self._seen)
         self._seen = None

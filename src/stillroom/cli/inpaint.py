@@ -1,0 +1,122 @@
+"""`stillroom inpaint`."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from stillroom.cli.arguments import ConfigFile, Method, Seed, Settings
+
+if TYPE_CHECKING:
+    from stillroom.config import SlamConfig
+    from stillroom.pipeline import RunOutcome, Source
+    from stillroom.pipeline.inpainting.recorder import InpaintingRecorder, InpaintingRecorderConfig
+    from stillroom.protocols import Dataset
+    from stillroom.system import Slam
+
+INTERRUPTED = 130
+SYNTHETIC = "synthetic"
+MAP_EVERY = 30
+
+
+def inpaint(
+    sequence: Annotated[
+        str, typer.Argument(metavar="SEQUENCE", help="A folder, an archive, a known name, or synthetic:walking.")
+    ],
+    method: Method = None,
+    frames: Annotated[str | None, typer.Option(metavar="A:B", help="Use these frames only, such as 200:560.")] = None,
+    every: Annotated[
+        int, typer.Option(min=0, metavar="N", help="Write every N-th frame as an image; 0: none, the video only.")
+    ] = 1,
+    video: Annotated[
+        str, typer.Option(metavar="NAME", help="Name of the video, .mp4 or .avi; '' for none.")
+    ] = "inpainted.mp4",
+    from_map: Annotated[
+        bool, typer.Option("--from-map", help="Fill what no keyframe saw from the dense map, if the method makes one.")
+    ] = False,
+    seed: Seed = None,
+    camera: Annotated[
+        str | None, typer.Option(metavar="NAME|FILE", help="The calibration, where it is not the sequence's own.")
+    ] = None,
+    fps: Annotated[
+        float | None, typer.Option(metavar="N", help="Frame rate of a plain folder whose file names tell no times.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Write into this new folder. \\[default: a new one in results/]")
+    ] = None,
+    settings: Settings = None,
+    config: ConfigFile = None,
+) -> None:
+    """Paint what moves out of a sequence, from what the last keyframes saw behind it.
+
+    Tracks the camera as 'run' does. Writes inpainted/inpainted_00042.png and so on, a video, and inpainting.png, which
+    shows some frames before and after. What nobody had seen by then stays black.
+
+        stillroom inpaint rgbd_bonn_crowd --frames 200:560
+        stillroom inpaint synthetic:walking --set semantics.kind=truth --every 10
+    """
+    from stillroom.methods.registry import configure
+    from stillroom.pipeline import Source
+    from stillroom.pipeline.inpainting.recorder import InpaintingRecorderConfig
+
+    chosen = configure(method, config, settings or (), seed)
+    wanted = InpaintingRecorderConfig(every=every, video=video, map_every=MAP_EVERY if from_map else 0)
+    _paint(chosen, Source(sequence, camera, fps, frames), wanted, out)
+
+
+def _paint(chosen: "SlamConfig", source: "Source", wanted: "InpaintingRecorderConfig", out: Path | None) -> None:
+    from stillroom.cli.output.console import STDERR, say, show_log
+    from stillroom.cli.output.progress import RunBar
+    from stillroom.cli.warmup import ensure_warm
+    from stillroom.pipeline import RunOptions, run
+    from stillroom.pipeline.folders import chosen_folder, new_folder
+
+    show_log()
+    dataset = source.open()
+    segmenter = chosen.semantics.build()  # now: what is absent is told before kernels are compiled
+    folder = chosen_folder(out) if out is not None else new_folder(Path("results"), chosen.method, dataset.name)
+    say(f"{chosen.method} on {dataset.name}: {len(dataset)} images; camera: {dataset.camera_source}")
+    ensure_warm(STDERR, source.sequence.startswith(SYNTHETIC))
+    made: list[InpaintingRecorder] = []
+
+    def observe(slam: "Slam") -> "InpaintingRecorder":
+        made.append(_recorder(wanted, folder, dataset, slam))
+        return made[0]
+
+    options = RunOptions(folder=folder, pictures=0, segmenter=segmenter, observe=observe, source=source)
+    try:
+        outcome = run(dataset, chosen, options, RunBar(STDERR))
+    finally:
+        for recorder in made:
+            recorder.close()
+    _report(outcome, made[0])
+    if outcome.interrupted:
+        raise typer.Exit(INTERRUPTED)
+
+
+def _recorder(
+    wanted: "InpaintingRecorderConfig", folder: Path, dataset: "Dataset", slam: "Slam"
+) -> "InpaintingRecorder":
+    """Return a recorder with frames for its sheet from all over the sequence, at the pace of its images."""
+    import numpy as np
+
+    from stillroom.datasets.selection import original_numbers
+
+    numbers, stamps_s = original_numbers(dataset), dataset.timestamps_s
+    places = (np.arange(wanted.on_sheet) + 0.9) * len(numbers) / max(1, wanted.on_sheet)
+    chosen = [int(number) for number in numbers[np.unique(places.astype(np.int64))]]
+    pace_hz = 1.0 / float(np.median(np.diff(stamps_s))) if len(stamps_s) > 1 else 30.0
+    return wanted.build(folder, dataset.camera, slam, chosen, pace_hz)
+
+
+def _report(outcome: "RunOutcome", recorder: "InpaintingRecorder") -> None:
+    from stillroom.cli.output.tables import print_lines
+    from stillroom.evaluation.report_text import percent
+
+    filled = recorder.share.filled
+    lines = [f"{outcome.n_tracked} of {outcome.n_given} frames tracked, {recorder.n_frames} painted"]
+    if outcome.interrupted:
+        lines.append(f"stopped after {outcome.n_given} images")
+    lines.append("nothing moved" if filled is None else f"{percent(filled)} of what moved could be painted over")
+    lines.append(f"results: {outcome.folder}")
+    print_lines(lines)

@@ -1,0 +1,1 @@
+"""A run that leaves the sequence without what moves."""

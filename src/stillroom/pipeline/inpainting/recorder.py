@@ -1,0 +1,141 @@
+"""Looks on at a run and paints out what moves."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from stillroom.data.cloud.dense_cloud import DenseCloud
+from stillroom.data.result import FrameResult, Tracked
+from stillroom.data.semantics import Semantics
+from stillroom.dense.inpainting.painter import BackgroundPainter, InpaintingConfig
+from stillroom.errors import ConfigError
+from stillroom.geometry.arrays import U8
+from stillroom.geometry.camera import Camera
+from stillroom.system import Slam
+from stillroom.viz.film.contact_sheet import contact_sheet
+from stillroom.viz.film.video import VideoFile
+from stillroom.viz.png import write_png
+
+IMAGES = "inpainted"
+SHEET = "inpainting.png"
+
+
+@dataclass(frozen=True)
+class InpaintingRecorderConfig:
+    """What is written of a run's painted frames.
+
+    Attributes:
+        painting: How they are painted.
+        every: Every how many frames of the sequence one is written as an image, by its number; 0 for none.
+        video: Name of the video; "" for none.
+        on_sheet: How many frames the contact sheet shows.
+        map_every: Every how many frames the dense map is asked anew, to fill what no keyframe saw; 0 for never.
+    """
+
+    painting: InpaintingConfig = field(default_factory=InpaintingConfig)
+    every: int = 1
+    video: str = "inpainted.mp4"
+    on_sheet: int = 8
+    map_every: int = 0
+
+    def build(
+        self, folder: Path, camera: Camera, slam: Slam, sheet_frames: Iterable[int], fps: float
+    ) -> "InpaintingRecorder":
+        """Return a recorder that writes into a folder.
+
+        Args:
+            folder: The folder.
+            camera: The calibration.
+            slam: The system whose run is looked at.
+            sheet_frames: Numbers of the frames for the contact sheet.
+            fps: Frames per second of the video [1/s].
+
+        Raises:
+            ConfigError: A value is impossible.
+        """
+        for name in ("every", "on_sheet", "map_every"):
+            if getattr(self, name) < 0:
+                raise ConfigError(f"{name} is {getattr(self, name)}; it must be 0 (none) or more")
+        video = VideoFile(folder / self.video, fps) if self.video else None
+        return InpaintingRecorder(self, folder, self.painting.build(camera), slam, video, frozenset(sheet_frames))
+
+
+@dataclass
+class Share:
+    """Counts of pixels that were to be painted: those that were, and all."""
+
+    n_filled: int = 0
+    n_wanted: int = 0
+
+    @property
+    def filled(self) -> float | None:
+        """Which share of them was painted; None where nothing moved."""
+        return self.n_filled / self.n_wanted if self.n_wanted else None
+
+
+class InpaintingRecorder:
+    """Writes `inpainted/inpainted_00042.png`, the video, and in the end a contact sheet of pairs."""
+
+    def __init__(
+        self,
+        config: InpaintingRecorderConfig,
+        folder: Path,
+        painter: BackgroundPainter,
+        slam: Slam,
+        video: VideoFile | None,
+        sheet_frames: frozenset[int],
+    ) -> None:
+        """Take note; files are made with the first frame."""
+        self.config, self.share, self.n_frames = config, Share(), 0
+        self._folder, self._painter, self._slam, self._video = folder, painter, slam, video
+        self._sheet_frames = sheet_frames
+        self._pairs: list[tuple[str, tuple[U8, U8]]] = []
+        self._cloud: DenseCloud | None = None
+
+    def on_frame(self, tracked: Tracked, semantics: Semantics, result: FrameResult) -> None:
+        """Paint the frame and write it; one whose place is unknown stays as it is.
+
+        Raises:
+            StillroomError: A file cannot be written.
+        """
+        image, moving = tracked.frame.image, tracked.motion.moving
+        rgb = image.rgb
+        if tracked.T_world_cam is not None:
+            world = self._slam.map
+            painted = self._painter.paint(image, tracked.T_world_cam, moving, world, self._map())
+            rgb = painted.rgb
+            n_filled = int(np.count_nonzero(painted.is_filled))
+            self.share.n_filled += n_filled
+            self.share.n_wanted += n_filled + int(np.count_nonzero(painted.is_hole))
+        if result.is_keyframe:
+            self._painter.remember(result.reference_keyframe, image, moving)
+        self._write(image.index, image.rgb, rgb)
+        self.n_frames += 1
+
+    def close(self) -> None:
+        """Finish the video and write the contact sheet.
+
+        Raises:
+            StillroomError: The sheet cannot be written.
+        """
+        if self._video is not None:
+            self._video.close()
+        if self._pairs:
+            write_png(self._folder / SHEET, contact_sheet(self._pairs))
+            self._pairs = []
+
+    def _write(self, index: int, before: U8, after: U8) -> None:
+        if self.config.every > 0 and index % self.config.every == 0:
+            write_png(self._folder / IMAGES / f"inpainted_{index:05d}.png", after)
+        if self._video is not None:
+            self._video.add(after)
+        if index in self._sheet_frames:
+            self._pairs.append((f"frame {index}", (before, after)))
+
+    def _map(self) -> DenseCloud | None:
+        """Return the dense map, not older than the config allows."""
+        if self.config.map_every > 0 and self.n_frames % self.config.map_every == 0:
+            self._cloud = self._slam.dense_mapper.cloud()
+        return self._cloud

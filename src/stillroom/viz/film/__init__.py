@@ -1,0 +1,1 @@
+"""Many frames in one file: as a video, or side by side."""

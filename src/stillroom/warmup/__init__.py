@@ -1,0 +1,10 @@
+"""Compile every kernel once, with the types that real runs use.
+
+Numba compiles a kernel when it is first called, which takes two minutes or so for all of them, and keeps the machine
+code in the folder `NUMBA_CACHE_DIR`: by default `stillroom/numba` in the user's cache.
+"""
+
+from stillroom.warmup.kernels import WarmUp, WarmUpProgress, kernels, warm_up
+from stillroom.warmup.stamps import is_warm, kernel_cache
+
+__all__ = ["WarmUp", "WarmUpProgress", "is_warm", "kernel_cache", "kernels", "warm_up"]

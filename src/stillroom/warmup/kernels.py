@@ -1,0 +1,92 @@
+"""All kernels, and how they are got ready: by doing everything once that a run does, on a made-up scene."""
+
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from numba.core import event
+from numba.core.registry import CPUDispatcher
+
+from stillroom.warmup import work
+from stillroom.warmup.stamps import leave_stamps
+
+PACKAGE = "stillroom"
+
+
+class WarmUpProgress(Protocol):
+    """Told which kernel is being compiled."""
+
+    def __call__(self, kernel: str, done: int, total: int) -> None:
+        """Take note that at least `done` of `total` kernels are ready and this one is next; "" at the end."""
+
+
+@dataclass(frozen=True)
+class WarmUp:
+    """What a warm-up did.
+
+    Attributes:
+        n_kernels: Kernels that are ready now.
+        n_compiled: How many of them were compiled; the others came from the cache.
+        seconds: How long it took [s].
+    """
+
+    n_kernels: int
+    n_compiled: int
+    seconds: float
+
+
+def warm_up(progress: WarmUpProgress | None = None, renderer: bool = False) -> WarmUp:
+    """Compile all kernels, or load them where they are in the cache.
+
+    Args:
+        progress: Told of each kernel.
+        renderer: Whether to compile the synthetic room's kernels too.
+    """
+    start_s = time.perf_counter()
+    with _listening(progress) as compiled:
+        work.do_everything()
+        if renderer:
+            work.render()
+    n_kernels = len(kernels())
+    if progress is not None:
+        progress("", n_kernels, n_kernels)
+    leave_stamps(renderer)
+    return WarmUp(n_kernels, len(set(compiled)), time.perf_counter() - start_s)
+
+
+def kernels() -> dict[str, Any]:
+    """Return the kernels of all modules that are loaded, by `module.name` without the package's."""
+    found: dict[str, Any] = {}
+    for name, module in list(sys.modules.items()):
+        if name.partition(".")[0] == PACKAGE:
+            own = (value for value in vars(module).values() if isinstance(value, CPUDispatcher))
+            found |= {_name(kernel): kernel for kernel in own}
+    return found
+
+
+def _name(kernel: Any) -> str:
+    return f"{kernel.py_func.__module__}.{kernel.py_func.__name__}".removeprefix(f"{PACKAGE}.")
+
+
+@contextmanager
+def _listening(progress: WarmUpProgress | None) -> Iterator[list[str]]:
+    """Give a list that grows by the name of each kernel that numba compiles, and report them."""
+    compiled: list[str] = []
+
+    class Listener(event.Listener):  # type: ignore[misc] # numba has no types
+        def on_start(self, started: Any) -> None:
+            name = _name(started.data["dispatcher"])
+            known = kernels()
+            if name in known:
+                if progress is not None:
+                    progress(name, sum(bool(kernel.signatures) for kernel in known.values()), len(known))
+                compiled.append(name)
+
+        def on_end(self, ended: Any) -> None:
+            pass
+
+    with event.install_listener("numba:compile", Listener()):
+        yield compiled

@@ -1,0 +1,131 @@
+"""What calls the kernels: a run with every part, its maps, their pictures, exports and figures, and the renderer."""
+
+from dataclasses import dataclass
+from itertools import islice
+
+import numpy as np
+
+from stillroom.config import SlamConfig
+from stillroom.config.kinds import DYNAMICS
+from stillroom.data.cloud.dense_cloud import DenseCloud
+from stillroom.data.frame import Frame
+from stillroom.data.map import Map
+from stillroom.data.matches import Matches
+from stillroom.data.motion import Motion, Stage
+from stillroom.data.semantics import Semantics
+from stillroom.datasets.open import open_dataset
+from stillroom.dense.dense_mapper import DenseMapperConfig
+from stillroom.dense.export.mesh import MeshConfig
+from stillroom.dense.export.signed_distance import blocks
+from stillroom.dynamics.ants.path import PathConfig
+from stillroom.dynamics.ants.search import ReverseSearchConfig
+from stillroom.dynamics.clusters.sieve import ClusterSieveConfig
+from stillroom.dynamics.homography.sieve import CompensatedHomographyConfig
+from stillroom.evaluation.ghosts.patches import distances_to_patches_m
+from stillroom.evaluation.ghosts.views import DepthView, settled, sightings
+from stillroom.geometry.arrays import F64
+from stillroom.protocols import MatchSieve, Pending
+from stillroom.semantics.depth_clusters import DepthClustersConfig
+from stillroom.semantics.truth import TruthConfig
+from stillroom.system import Slam, build
+from stillroom.viz.cloud.render import CloudRendererConfig
+from stillroom.viz.cloud.view import default_view
+from stillroom.warmup.scene import CAMERA, images
+
+RENDERED = ("synthetic:walking,frames=1,cache=off", "synthetic:walking,frames=1,cache=off,noise=off")
+PICTURE_PX = 96, 64
+CORRECTION_M = 0.05
+
+ANTS = CompensatedHomographyConfig(ants=ReverseSearchConfig(path=PathConfig(kind="ants")))
+"""Choices within parts that bring kernels of their own."""
+
+
+def do_everything() -> None:
+    """Track the made-up scene with all parts there are, and do with the maps what can be done with them."""
+    slam = track()
+    cloud = correct(slam)
+    draw(cloud, slam)
+    export(cloud)
+    judge(cloud)
+
+
+def track() -> Slam:
+    """Track the scene; the detector is replaced by one that finds the box."""
+    config = SlamConfig(
+        semantics=TruthConfig(), clusters=DepthClustersConfig(), dynamics=EverySieveConfig(), dense=DenseMapperConfig()
+    )
+    slam = build(config, CAMERA)
+    for image in images():
+        slam.process(image)
+    slam.close()
+    return slam
+
+
+def correct(slam: Slam) -> DenseCloud:
+    """Move a keyframe, as a closed loop does, and return the dense map, which has followed it."""
+    slam.map.keyframes.T_world_cam[slam.map.alive_keyframes()[0], 2, 3] += CORRECTION_M
+    slam.dense_mapper.refresh()
+    cloud = slam.dense_mapper.cloud()
+    assert cloud is not None, "the made-up scene is mapped densely"
+    return cloud
+
+
+def draw(cloud: DenseCloud, slam: Slam) -> None:
+    """Draw the dense map; all other pictures do without kernels."""
+    CloudRendererConfig().build().render(cloud, default_view(cloud, slam.map.keyframes.T_world_cam, *PICTURE_PX))
+
+
+def export(cloud: DenseCloud) -> None:
+    """Compute what a mesh is made from; all other formats do without kernels."""
+    mesh = MeshConfig()
+    for _ in blocks(cloud, cloud.voxel_m * mesh.cell_voxels, mesh.max_weight, mesh.min_points):
+        pass
+
+
+def judge(cloud: DenseCloud) -> None:
+    """Look for ghosts in the dense map, by depth images and by a surface."""
+    points_m = cloud.positions_m[:64]
+    views = [DepthView(image.depth_m, np.eye(4)) for image in islice(images(), 1)]
+    sightings(points_m, views, CAMERA, 0.05, 0.03)
+    settled(points_m, views, CAMERA, 0.05, 0.03)
+    distances_to_patches_m(points_m, np.eye(3).reshape(1, 9), np.zeros(1, dtype=np.bool_))
+
+
+def render() -> None:
+    """Render the synthetic room, with and without noise."""
+    for name in RENDERED:
+        room = open_dataset(name)
+        for index in range(len(room)):
+            room.load(index)
+
+
+@dataclass(frozen=True)
+class EverySieveConfig:
+    """Every part that says what does move."""
+
+    def build(self, seed: int) -> "EverySieve":
+        """Return the sieve."""
+        others = [kind() for kind in DYNAMICS.classes.values()]
+        return EverySieve(ClusterSieveConfig().build(seed), [config.build(seed) for config in (*others, ANTS)])
+
+
+class EverySieve:
+    """Puts each question to all sieves, and answers as one of them."""
+
+    def __init__(self, spokesman: MatchSieve, others: list[MatchSieve]) -> None:
+        """Take them."""
+        self._spokesman, self._others = spokesman, others
+
+    def judge(
+        self,
+        stage: Stage,
+        frame: Frame,
+        matches: Matches,
+        semantics: Pending[Semantics],
+        T_cam_world: F64,
+        world: Map,
+    ) -> Motion:
+        """Judge as the spokesman does."""
+        for sieve in self._others:
+            sieve.judge(stage, frame, matches, semantics, T_cam_world, world)
+        return self._spokesman.judge(stage, frame, matches, semantics, T_cam_world, world)

@@ -1,0 +1,82 @@
+"""A program: warm up, run everything, and print as JSON which kernels the warm-up had not made ready.
+
+In a process of its own, because other tests have called kernels in theirs.
+"""
+
+import importlib
+import json
+import pkgutil
+import sys
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import stillroom
+from stillroom.config import SlamConfig
+from stillroom.datasets.open import open_dataset
+from stillroom.datasets.selection import select
+from stillroom.dense.export.formats import FORMATS, ExportConfig, chosen_formats
+from stillroom.dynamics.homography.sieve import CompensatedHomographyConfig
+from stillroom.dynamics.multiview.sieve import MultiViewConfig
+from stillroom.methods.registry import OWN, method
+from stillroom.pipeline.plots import draw_maps
+from stillroom.semantics.truth import TruthConfig
+from stillroom.system import build
+from stillroom.warmup import kernels, warm_up
+
+BASELINE = method("orb-slam2").config
+RUNS = (
+    *(own.config for own in OWN),
+    replace(BASELINE, method="multiview", dynamics=MultiViewConfig()),
+    replace(BASELINE, method="homography", dynamics=CompensatedHomographyConfig()),
+)
+
+
+def run(config: SlamConfig, folder: Path) -> int:
+    """Run a method over rendered frames, draw and export its maps; return how many points the dense one has."""
+    sequence = select(open_dataset("synthetic:walking,frames=90"), "0:60:3")
+    slam = build(config, sequence.camera, TruthConfig().build())  # the renderer's boxes: no weights are needed
+    for index in range(len(sequence)):
+        slam.process(sequence.load(index))
+    slam.map.keyframes.T_world_cam[0, 0, 3] += 0.05
+    slam.dense_mapper.refresh()
+    cloud = slam.dense_mapper.cloud()
+    draw_maps(folder, slam, cloud, config.method)
+    if cloud is None:
+        return 0
+    for name in chosen_formats(["all"]):
+        FORMATS[name](cloud, folder, ExportConfig())
+    return len(cloud)
+
+
+def cold(known: dict[str, Any]) -> set[str]:
+    """Return the kernels that are not ready; what ready ones alone call is part of their machine code."""
+    ready = {name for name, kernel in known.items() if kernel.signatures}
+    while inner := {called for name in ready for called in called_by(known[name], known)} - ready:
+        ready |= inner
+    return set(known) - ready
+
+
+def called_by(kernel: Any, known: dict[str, Any]) -> set[str]:
+    names = {id(each): name for name, each in known.items()}
+    used = (kernel.py_func.__globals__.get(word) for word in kernel.py_func.__code__.co_names)
+    return {names[id(value)] for value in used if id(value) in names}
+
+
+def main() -> None:
+    warm_up(renderer=True)
+    for module in pkgutil.walk_packages(stillroom.__path__, "stillroom."):
+        importlib.import_module(module.name)
+    known = kernels()
+    before = {name: set(kernel.signatures) for name, kernel in known.items()}
+    not_ready = cold(known)
+    with tempfile.TemporaryDirectory() as folder:
+        n_points = {config.method: run(config, Path(folder)) for config in RUNS}
+    # A run that calls a kernel with types of its own loads or compiles one more version of it.
+    late = {name for name, kernel in kernels().items() if set(kernel.signatures) - before[name]}
+    json.dump({"cold": sorted(not_ready), "late": sorted(late), "n_points": n_points}, sys.stdout)
+
+
+if __name__ == "__main__":
+    main()

@@ -6,7 +6,7 @@ import pytest
 
 from stillroom.geometry import se3
 from stillroom.geometry.camera import Camera
-from stillroom.geometry.epipolar import fundamental_from_motion, line_distances_px
+from stillroom.geometry.epipolar import fundamental_from_motion, line_distances_px, motion_line_distances_px
 
 CAMERA = Camera(640, 480, 542.8, 541.1, 315.6, 237.8)
 
@@ -82,3 +82,17 @@ def test_where_there_is_no_line_the_distance_is_infinite() -> None:
     forward = fundamental_from_motion(se3.exp(np.array([0, 0, 0.5, 0, 0, 0])), np.eye(3))
     assert np.isinf(line_distances_px(forward, np.zeros((1, 2)), np.array([[0.3, 0.1]]))).all()  # at the epipole
     assert line_distances_px(F, np.zeros((0, 2)), np.zeros((0, 2))).shape == (0,)
+
+
+def test_distances_of_many_images_are_those_of_their_matrices() -> None:
+    rng = np.random.default_rng(5)
+    T = np.stack([se3.exp(rng.normal(0, 0.4, 6)) for _ in range(7)])
+    first = rng.integers(0, 6, 200).astype(np.int32)
+    first_px, second_px = rng.uniform(0, 480, (2, 200, 2))
+    intrinsics = np.array([CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy])
+    found = motion_line_distances_px(T[6], T[:6], first, first_px, second_px, intrinsics)
+    F = fundamental_from_motion(T[6] @ T[first], CAMERA.K)
+    np.testing.assert_allclose(found, line_distances_px(F, first_px, second_px), rtol=1e-6, atol=1e-6)
+    T[0] = np.eye(4)  # no motion, no line
+    none = motion_line_distances_px(T[0], T[:1], np.zeros(1, np.int32), first_px[:1], second_px[:1], intrinsics)
+    assert np.isinf(none[0])

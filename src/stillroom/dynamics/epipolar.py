@@ -12,7 +12,7 @@ from stillroom.data.semantics import Semantics
 from stillroom.dynamics.depth_history import DepthHistory, DepthHistoryConfig
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64, I64, Bool
-from stillroom.geometry.epipolar import fundamental_from_motion, line_distances_px
+from stillroom.geometry.epipolar import motion_line_distances_px
 from stillroom.protocols import Pending
 
 
@@ -106,10 +106,14 @@ class EpipolarSieve:
         if len(matches) == 0:
             return np.zeros(0, dtype=np.bool_)
         oldest = world.oldest_observations(matches.point_id)
-        keyframe, which = np.unique(world.keypoints.keyframe[oldest], return_inverse=True)
-        F = fundamental_from_motion(T_cam_world @ world.keyframes.T_world_cam[keyframe], frame.camera.K)
-        first_px = world.keypoints.px[oldest].astype(np.float64)
-        now_px = frame.keypoints.px[matches.keypoint].astype(np.float64)
-        distance_px = line_distances_px(F[which], first_px, now_px)
+        camera = frame.camera
+        distance_px = motion_line_distances_px(
+            T_cam_world,
+            world.keyframes.T_world_cam,
+            world.keypoints.keyframe[oldest],
+            world.keypoints.px[oldest].astype(np.float64),
+            frame.keypoints.px[matches.keypoint].astype(np.float64),
+            np.array([camera.fx, camera.fy, camera.cx, camera.cy]),
+        )
         scale = frame.scales.factors[frame.keypoints.octave[matches.keypoint]]
         return np.asarray(distance_px > self.config.threshold_px(stage) * scale)

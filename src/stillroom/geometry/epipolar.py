@@ -1,8 +1,9 @@
 """Two views of a static point: the epipolar constraint."""
 
 import numpy as np
+from numba import njit
 
-from stillroom.geometry.arrays import F64, Floats
+from stillroom.geometry.arrays import F64, Floats, I32
 
 
 def fundamental_from_motion(T_second_first: Floats, K: Floats) -> F64:
@@ -31,3 +32,37 @@ def line_distances_px(F_second_first: Floats, first_px: Floats, second_px: Float
     numerator = np.abs(np.einsum("ij,ij->i", lines[:, :2], second_px) + lines[:, 2])
     norm = np.hypot(lines[:, 0], lines[:, 1])
     return np.where(norm > 0, numerator / np.where(norm > 0, norm, 1.0), np.inf)
+
+
+@njit(nogil=True, cache=True)
+def motion_line_distances_px(
+    T_second_world: F64, T_world_first: F64, first: I32, first_px: F64, second_px: F64, intrinsics: F64
+) -> F64:
+    """Return what `line_distances_px` would, (N,) [px], for first points of many images with known poses.
+
+    Args:
+        T_second_world: Pose of the second image (4, 4).
+        T_world_first: Poses of the first images (Q, 4, 4).
+        first: Image of each first point (N,).
+        first_px, second_px: The pairs (N, 2).
+        intrinsics: fx fy cx cy (4,).
+    """
+    fx, fy, cx, cy = intrinsics
+    T = T_second_world
+    distances_px = np.empty(len(first))
+    t, y, ray = np.empty(3), np.empty(3), np.empty(3)
+    for i in range(len(first)):
+        P = T_world_first[first[i]]
+        x0, x1 = (first_px[i, 0] - cx) / fx, (first_px[i, 1] - cy) / fy
+        for r in range(3):
+            ray[r] = P[r, 0] * x0 + P[r, 1] * x1 + P[r, 2]
+        for r in range(3):
+            y[r] = T[r, 0] * ray[0] + T[r, 1] * ray[1] + T[r, 2] * ray[2]
+            t[r] = T[r, 0] * P[0, 3] + T[r, 1] * P[1, 3] + T[r, 2] * P[2, 3] + T[r, 3]
+        a = (t[1] * y[2] - t[2] * y[1]) / fx
+        b = (t[2] * y[0] - t[0] * y[2]) / fy
+        c = t[0] * y[1] - t[1] * y[0] - a * cx - b * cy
+        norm = np.hypot(a, b)
+        distance = abs(a * second_px[i, 0] + b * second_px[i, 1] + c)
+        distances_px[i] = distance / norm if norm > 0.0 else np.inf
+    return distances_px

@@ -17,6 +17,7 @@ from stillroom.config import SlamConfig
 from stillroom.datasets.open import open_dataset
 from stillroom.datasets.selection import select
 from stillroom.dense.export.formats import FORMATS, ExportConfig, chosen_formats
+from stillroom.dense.inpainting.painter import InpaintingConfig
 from stillroom.dynamics.homography.sieve import CompensatedHomographyConfig
 from stillroom.dynamics.multiview.sieve import MultiViewConfig
 from stillroom.methods.registry import OWN, method
@@ -34,11 +35,16 @@ RUNS = (
 
 
 def run(config: SlamConfig, folder: Path) -> int:
-    """Run a method over rendered frames, draw and export its maps; return how many points the dense one has."""
+    """Run a method over rendered frames and make of its maps what can be made; return the dense one's points."""
     sequence = select(open_dataset("synthetic:walking,frames=90"), "0:60:3")
     slam = build(config, sequence.camera, TruthConfig().build())  # the renderer's boxes: no weights are needed
+    painter = InpaintingConfig().build(sequence.camera)
     for index in range(len(sequence)):
-        slam.process(sequence.load(index))
+        image = sequence.load(index)
+        pose = slam.process(image).T_world_cam
+        if pose is not None and image.truth is not None:
+            painter.paint(image, pose, image.truth.movable, slam.map, slam.dense_mapper.cloud())
+            painter.remember(slam.results[-1].reference_keyframe, image, image.truth.movable)
     slam.map.keyframes.T_world_cam[0, 0, 3] += 0.05
     slam.dense_mapper.refresh()
     cloud = slam.dense_mapper.cloud()

@@ -32,14 +32,7 @@ inlined = {name for name, kernel in kernels().items() if kernel.targetoptions.ge
 never = {name for name, kernel in kernels().items() if not kernel.signatures} - inlined
 print(done.n_compiled, len(kernels()) - len(inlined | never), *sorted(never))
 """
-UNUSED = {
-    "dense.voxels.hash_kernels.find_rows",  # what tests ask a voxel map with
-    # No run paints people out yet.
-    "dense.inpainting.kernels.distorted",
-    "dense.inpainting.kernels.splat_cloud",
-    "dense.inpainting.kernels.splat_colour",
-    "dense.inpainting.kernels.splat_depth",
-}
+UNUSED = {"dense.voxels.hash_kernels.find_rows"}  # what tests ask a voxel map with
 """Kernels that no command needs."""
 
 

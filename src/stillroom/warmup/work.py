@@ -17,6 +17,7 @@ from stillroom.datasets.open import open_dataset
 from stillroom.dense.dense_mapper import DenseMapperConfig
 from stillroom.dense.export.mesh import MeshConfig
 from stillroom.dense.export.signed_distance import blocks
+from stillroom.dense.inpainting.painter import InpaintingConfig
 from stillroom.dynamics.ants.path import PathConfig
 from stillroom.dynamics.ants.search import ReverseSearchConfig
 from stillroom.dynamics.clusters.sieve import ClusterSieveConfig
@@ -45,6 +46,7 @@ def do_everything() -> None:
     slam = track()
     cloud = correct(slam)
     draw(cloud, slam)
+    paint_out(cloud, slam)
     export(cloud)
     judge(cloud)
 
@@ -73,6 +75,16 @@ def correct(slam: Slam) -> DenseCloud:
 def draw(cloud: DenseCloud, slam: Slam) -> None:
     """Draw the dense map; all other pictures do without kernels."""
     CloudRendererConfig().build().render(cloud, default_view(cloud, slam.map.keyframes.T_world_cam, *PICTURE_PX))
+
+
+def paint_out(cloud: DenseCloud, slam: Slam) -> None:
+    """Paint the person out of an image, from a keyframe and from the dense map."""
+    painter = InpaintingConfig().build(CAMERA)
+    image = next(images())
+    assert image.truth is not None
+    keyframe = int(slam.map.alive_keyframes()[-1])
+    painter.remember(keyframe, image, np.zeros_like(image.truth.movable))
+    painter.paint(image, slam.map.keyframe_pose(keyframe), image.truth.movable, slam.map, cloud)
 
 
 def export(cloud: DenseCloud) -> None:

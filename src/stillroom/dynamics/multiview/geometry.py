@@ -54,21 +54,23 @@ class GeometryConfig:
         mean_m, mean_per_m: Largest difference from the region's mean.
         step_m, step_per_m: Largest difference from the neighbour.
         min_area_px: Smaller regions are dropped.
+        min_seen_through: With `seen_through`, regions are dropped of which keyframes saw through a smaller share:
+            what nobody has seen before does not move for that.
     """
 
     keyframes: KeyframesConfig = field(default_factory=KeyframesConfig)
     max_parallax_deg: float = 30.0
     parallax_of_translations: bool = False
-    tau_m: float = 0.1
-    tau_per_m: float = 0.01
+    tau_m: float = 0.12
+    tau_per_m: float = 0.02
     far_m: float = 7.0
     window_px: int = 0
     patch_px: int = 3
     patch_std_m: float = 0.03
     patch_std_per_m: float = 0.004
     seen_through: bool = True
-    tolerance_m: float = 0.06
-    tolerance_share: float = 0.03
+    tolerance_m: float = 0.08
+    tolerance_share: float = 0.04
     growing: bool = True
     growing_stride: int = 2
     mean_m: float = 0.3
@@ -76,6 +78,7 @@ class GeometryConfig:
     step_m: float = 0.03
     step_per_m: float = 0.008
     min_area_px: int = 200
+    min_seen_through: float = 0.4
 
     def build(self) -> "Geometry":
         """Return the geometry, without a past."""
@@ -92,6 +95,7 @@ class Question:
         here, there: The present depth image and the keyframes.
         verdict: What is known of each point so far (N,); see `kernels`.
         before_px: The pixel of what stands before it (N, 2), column first.
+        displaced_px: How far the depth image may be displaced by the camera's turn.
     """
 
     frame: Frame
@@ -100,6 +104,7 @@ class Question:
     there: There
     verdict: U8
     before_px: I32
+    displaced_px: float
 
     @property
     def in_view(self) -> I64:
@@ -134,7 +139,8 @@ class Geometry:
             config.tolerance_share,
         )
         min_pixels = max(1, round(config.min_area_px / config.growing_stride**2))
-        self._growth = Growth(config.mean_m, config.mean_per_m, config.step_m, config.step_per_m, min_pixels)
+        share = config.min_seen_through if config.seen_through else 0.0
+        self._growth = Growth(config.mean_m, config.mean_per_m, config.step_m, config.step_per_m, min_pixels, share)
 
     def mask(self, frame: Frame, T_cam_world: F64, world: Map) -> Bool | None:
         """Return what moves in a frame (H, W) taken at a pose (4, 4); None where there are too few keyframes."""
@@ -158,12 +164,14 @@ class Geometry:
         there = There(views.depth_m, views.T_cam_world, T_cam_world @ views.T_world_cam, centres_m)
         project(points, there, here.lens, frame.image.height, frame.image.width)
         verdict, before_px = np.full(n, UNSEEN, dtype=np.uint8), np.full((n, 2), -1, dtype=np.int32)
-        return Question(frame, points, here, there, verdict, before_px)
+        displaced_px = self.views.displaced_px(frame, T_cam_world)
+        return Question(frame, points, here, there, verdict, before_px, displaced_px)
 
     def test(self, question: Question, chosen: I64) -> U8:
         """Test chosen points (M,); return their verdicts (M,) and note them in the question."""
         q = question
-        judge_points(chosen, q.points, q.here, q.there, self._window, self._limits, q.verdict, q.before_px)
+        limits = self._limits._replace(patch_px=self.config.patch_px + round(q.displaced_px))
+        judge_points(chosen, q.points, q.here, q.there, self._window, limits, q.verdict, q.before_px)
         verdicts: U8 = q.verdict[chosen]
         return verdicts
 

@@ -4,9 +4,12 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from stillroom.dynamics.multiview.views import STRIDE
 from stillroom.geometry.arrays import F32, F64, I32, I64, U8
+
+I8 = NDArray[np.int8]
 
 UNSEEN, STATIC, STEEP, BORDER, UNCONFIRMED, DYNAMIC = range(6)
 """Verdicts on a point: out of view, or no depth there; nothing stands before it; seen from too different directions;
@@ -14,7 +17,8 @@ what stands before it has depths too different; its keyframe did not see through
 
 AGREES, EMPTY, UNKNOWN = 1, -1, 0
 CELL = 2
-TOO_SMALL = 2
+DROPPED = 2
+NOT_ASKED = 2
 
 
 class Limits(NamedTuple):
@@ -51,6 +55,8 @@ class Growth(NamedTuple):
             times the squared depth.
         step_m, step_per_m: Largest difference from the neighbour, likewise.
         min_pixels: Regions smaller than this are dropped.
+        min_seen_through: Regions are dropped of whose pixels a smaller share is seen through by more keyframes than
+            agree; 0 where keyframes are not asked.
     """
 
     mean_m: float
@@ -58,6 +64,7 @@ class Growth(NamedTuple):
     step_m: float
     step_per_m: float
     min_pixels: int
+    min_seen_through: float
 
 
 class Here(NamedTuple):
@@ -278,13 +285,16 @@ def grow(seeds: I32, here: Here, there: There, growth: Growth, limits: Limits, q
         region: Where the result is written (h, w): 1 in a region, 0 outside; all 0 before.
     """
     height, width = here.depth_m.shape
-    asked = np.zeros((height // CELL + 1, width // CELL + 1), dtype=np.uint8)
+    asked = np.full((height // CELL + 1, width // CELL + 1), NOT_ASKED, dtype=np.int8)
     for s in range(len(seeds)):
         column, row = seeds[s, 0], seeds[s, 1]
         mean = float(here.depth_m[row, column])
-        if mean <= 0.0 or region[row, column] != 0 or _was_there(here, there, row, column, limits, asked):
+        if mean <= 0.0 or region[row, column] != 0:
             continue
-        queue[0, 0], queue[0, 1], head, tail = row, column, 0, 1
+        said = _said(here, there, row, column, limits, asked)
+        if said == AGREES:
+            continue
+        queue[0, 0], queue[0, 1], head, tail, through = row, column, 0, 1, int(said == EMPTY)
         region[row, column] = 1
         while head < tail:
             row, column = queue[head, 0], queue[head, 1]
@@ -298,31 +308,30 @@ def grow(seeds: I32, here: Here, there: There, growth: Growth, limits: Limits, q
                     continue
                 if abs(z - here.depth_m[row, column]) > growth.step_m + growth.step_per_m * z * z:
                     continue
-                if _was_there(here, there, v, u, limits, asked):
+                said = _said(here, there, v, u, limits, asked)
+                if said == AGREES:
                     continue
+                through += said == EMPTY
                 region[v, u] = 1
                 queue[tail, 0], queue[tail, 1] = v, u
                 tail += 1
                 mean += (z - mean) / tail
-        if tail < growth.min_pixels:
+        if tail < growth.min_pixels or through < growth.min_seen_through * tail:
             for k in range(tail):
-                region[queue[k, 0], queue[k, 1]] = TOO_SMALL
+                region[queue[k, 0], queue[k, 1]] = DROPPED
     for v in range(height):
         for u in range(width):
             region[v, u] &= 1
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _was_there(here: Here, there: There, row: int, column: int, limits: Limits, asked: U8) -> bool:
-    """Tell whether more keyframes saw a surface at a present pixel's place than saw through it."""
-    if len(there.depth_m) == 0:
-        return False
+def _said(here: Here, there: There, row: int, column: int, limits: Limits, asked: I8) -> int:
+    """Return what more keyframes say of a present pixel's place than say the opposite: AGREES, EMPTY or UNKNOWN."""
     cell = row // CELL, column // CELL
-    if asked[cell] == 0:
-        votes, place_m = 0, _place(here, row, column)
-        left = len(there.depth_m)
+    if asked[cell] == NOT_ASKED:
+        votes, left, place_m = 0, len(there.depth_m), _place(here, row, column)
         while left > 0 and abs(votes) <= left:
             left -= 1
             votes += sees(there, left, here.lens, place_m, limits)
-        asked[cell] = 2 if votes > 0 else 1
-    return bool(asked[cell] == 2)
+        asked[cell] = AGREES if votes > 0 else EMPTY if votes < 0 else UNKNOWN
+    return int(asked[cell])

@@ -12,7 +12,7 @@ _DIFFERENT_M = 0.2
 
 def _paper() -> GeometryConfig:
     return GeometryConfig(
-        keyframes=KeyframesConfig(least=5, choice=NEAREST, grid_px=0),
+        keyframes=KeyframesConfig(least=5, choice=NEAREST, grid_px=0, apart_s=0.0),
         tau_m=0.4,
         tau_per_m=0.0,
         window_px=20,

@@ -14,16 +14,11 @@ from stillroom.data.semantics import Semantics
 from stillroom.dynamics.multiview.geometry import GeometryConfig
 from stillroom.dynamics.multiview.views import CHOICES
 from stillroom.errors import ConfigError
-from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64, U8, Bool
 from stillroom.protocols import Pending
 
 UNION, GEOMETRY_FIRST = "union", "geometry-first"
 COMBINATIONS = (UNION, GEOMETRY_FIRST)
-
-TYPICAL_DEPTH_M = 2.5
-SAME_POSE_M = 0.015
-"""A mask serves again at a pose that moves things at a typical depth by less than this."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +69,6 @@ class MultiViewSieve:
         """Start without a past."""
         self.config = config
         self.geometry = config.test.build()
-        self._found: tuple[Frame, F64, Bool | None] | None = None
 
     def judge(
         self,
@@ -87,33 +81,24 @@ class MultiViewSieve:
     ) -> Motion:
         """Judge every keypoint by the mask that it lies in.
 
-        The low-cost stage is judged by the network alone: it is there to give the geometry its pose.
+        Geometry is asked at the local-map stage. The stages before are judged by the network alone: they give the
+        geometry its pose, as DynaSLAM's low-cost tracking does (III.B), and their matches are of points that were
+        found to be static in the last frame. Under a mere guess of the pose everything would seem to move.
         """
         nothing_moves = Motion.none(len(frame), frame.image.height, frame.image.width)
         if stage is Stage.RELOCALIZATION:
             return nothing_moves
         self.geometry.views.settle(world)
         found = None
-        if self.config.geometry and stage is not Stage.LOW_COST:
-            found = self._geometry(frame, T_cam_world, world)
+        if self.config.geometry and stage is Stage.LOCAL_MAP:
+            found = self.geometry.mask(frame, T_cam_world, world)
         moving = self._moving(found, semantics.result())
         column, row = np.rint(frame.keypoints.raw_px).astype(np.int64).T
         motion = Motion(~moving[row, column], moving)
         if stage is Stage.LOCAL_MAP and self.config.geometry:
-            self.geometry.views.note(frame, moving)
+            self.geometry.views.note(frame, T_cam_world, moving)
         stay = int(np.count_nonzero(motion.is_static[matches.keypoint]))
         return nothing_moves if stay < self.config.min_matches <= len(matches) else motion
-
-    def _geometry(self, frame: Frame, T_cam_world: F64, world: Map) -> Bool | None:
-        """Return the geometry's mask (H, W) at a pose, from a moment ago where that is much the same."""
-        if self._found is not None and self._found[0] is frame:
-            change = T_cam_world @ se3.inverse(self._found[1])
-            moved_m = np.linalg.norm(change[:3, 3]) + TYPICAL_DEPTH_M * float(se3.angle_rad(change))
-            if moved_m < SAME_POSE_M:
-                return self._found[2]
-        mask = self.geometry.mask(frame, T_cam_world, world)
-        self._found = frame, T_cam_world.copy(), mask
-        return mask
 
     def _moving(self, found: Bool | None, known: Semantics) -> Bool:
         """Return what moves (H, W) by both accounts, dilated; an array of its own."""

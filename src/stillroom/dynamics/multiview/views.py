@@ -33,6 +33,8 @@ class KeyframesConfig:
         max_turn_rad: A keyframe that looks farther away than this does not overlap.
         far_m: Points farther from the keyframe than this are not used.
         grid_px: Distance of the pixels that are points beside the keypoints; 0 for keypoints only.
+        apart_s: Depth and colour are up to this far apart in time: when the camera turns, depth is displaced, and what
+            lies as near to an edge is not believed.
     """
 
     kept: int = 20
@@ -42,6 +44,7 @@ class KeyframesConfig:
     max_turn_rad: float = 0.8
     far_m: float = 6.0
     grid_px: int = 12
+    apart_s: float = 0.03
 
 
 @dataclass(frozen=True)
@@ -83,6 +86,13 @@ class AskedViews:
         return len(self.T_world_cam)
 
 
+@dataclass(frozen=True)
+class _Noted:
+    timestamp_s: float
+    T_cam_world: F64
+    displaced_px: float
+
+
 class KeyframeViews:
     """The last keyframes. Told of every frame; which of them became keyframes is learnt from the map."""
 
@@ -90,7 +100,8 @@ class KeyframeViews:
         """Start without any."""
         self.config = config
         self._views: deque[View] = deque(maxlen=config.kept)
-        self._newest: tuple[int, Frame, Bool] | None = None
+        self._newest: tuple[Frame, Bool, float] | None = None
+        self._last: _Noted | None = None
 
     def __len__(self) -> int:
         """How many keyframes are remembered."""
@@ -101,21 +112,32 @@ class KeyframeViews:
         """Memory that they take."""
         return sum(view.depth_m.nbytes + view.points_cam_m.nbytes for view in self._views)
 
-    def note(self, frame: Frame, moving: Bool) -> None:
-        """Take note of a frame, which may become a keyframe, and of what moves in it (H, W)."""
-        self._newest = frame.image.index, frame, moving
+    def displaced_px(self, frame: Frame, T_cam_world: F64) -> float:
+        """Return how far a frame's depth may be displaced by the turn of the camera since the frame noted before."""
+        if self._last is None or frame.timestamp_s < self._last.timestamp_s:
+            return 0.0
+        elapsed_s = frame.timestamp_s - self._last.timestamp_s
+        if elapsed_s == 0.0:
+            return self._last.displaced_px
+        turn_rad = float(se3.angle_rad(T_cam_world @ se3.inverse(self._last.T_cam_world)))
+        return self.config.apart_s * frame.camera.fx * turn_rad / elapsed_s
+
+    def note(self, frame: Frame, T_cam_world: F64, moving: Bool) -> None:
+        """Take note of a frame at its pose (4, 4), which may become a keyframe, and of what moves in it (H, W)."""
+        displaced_px = self.displaced_px(frame, T_cam_world)
+        self._last = _Noted(frame.timestamp_s, T_cam_world.copy(), displaced_px)
+        self._newest = frame, moving, displaced_px
 
     def settle(self, world: Map) -> None:
         """Keep the frame that was noted last, if it has become a keyframe since."""
         if self._newest is None or len(world.keyframes) == 0:
             return
-        index, frame, moving = self._newest
         last = len(world.keyframes) - 1
-        if world.keyframes.image_index[last] != index:
+        if world.keyframes.image_index[last] != self._newest[0].image.index:
             return
-        self._newest = None
         if not self._views or self._views[-1].keyframe != last:
-            self._views.append(self._view(last, frame, moving))
+            self._views.append(self._view(last, *self._newest))
+        self._newest = None
 
     def ask(self, T_world_cam: F64, world: Map) -> AskedViews | None:
         """Return the keyframes that overlap a pose (4, 4) best, or as the config wants them; None if too few."""
@@ -149,7 +171,7 @@ class KeyframeViews:
         order = np.argsort(-score if self.config.choice == FARTHEST else score, kind="stable")
         return np.asarray(np.sort(order[:n]), dtype=np.int64)
 
-    def _view(self, keyframe: int, frame: Frame, moving: Bool) -> View:
+    def _view(self, keyframe: int, frame: Frame, moving: Bool, displaced_px: float) -> View:
         small = frame.image.depth_m[::STRIDE, ::STRIDE].copy()
         small[moving[::STRIDE, ::STRIDE]] = 0
         kp = frame.keypoints
@@ -158,7 +180,7 @@ class KeyframeViews:
         points = frame.camera.back_project(kp.px[usable], kp.depth_m[usable])
         if self.config.grid_px > 0:
             points = np.concatenate((points, self._on_a_grid(frame, small)))
-        return View(keyframe, with_neighbours(small), points)
+        return View(keyframe, with_neighbours(small, 1 + round(displaced_px / STRIDE)), points)
 
     def _on_a_grid(self, frame: Frame, small_m: F32) -> F64:
         """Return the points (P, 3) of every so many-th pixel of a small depth image."""
@@ -169,9 +191,9 @@ class KeyframeViews:
         return frame.camera.back_project(frame.camera.undistort(raw_px), depth_m[row, column])
 
 
-def with_neighbours(depth_m: F32) -> F32:
-    """Return depths (h, w), 0 where unknown, with the nearest and farthest known of 3 by 3 pixels, (h, w, 3)."""
-    square = np.ones((3, 3), dtype=np.uint8)
+def with_neighbours(depth_m: F32, reach: int = 1) -> F32:
+    """Return depths (h, w), 0 where unknown, with the nearest and farthest known so many pixels around, (h, w, 3)."""
+    square = np.ones((2 * reach + 1, 2 * reach + 1), dtype=np.uint8)
     nearest = cv2.erode(np.where(depth_m > 0, depth_m, np.float32(np.inf)), square)
     nearest[np.isinf(nearest)] = 0
     return np.ascontiguousarray(np.dstack((depth_m, nearest, cv2.dilate(depth_m, square))), dtype=np.float32)

@@ -48,7 +48,7 @@ class CarvingConfig:
     lowest: int = -6
     highest: int = 6
     n_asked: int = 8
-    every: int = 3
+    every: int = 4
 
 
 class Carver:

@@ -194,7 +194,11 @@ def plain_regions(depth_m: np.ndarray, seeds: np.ndarray, growth: Growth) -> np.
 
 @pytest.mark.parametrize(
     "growth",
-    [Growth(0.2, 0.0, 100.0, 0.0, 1, 0.0), Growth(0.3, 0.02, 0.03, 0.008, 30, 0.0), Growth(0.1, 0.0, 0.05, 0.0, 1, 0.0)],
+    [
+        Growth(0.2, 0.0, 100.0, 0.0, 1, 0.0),
+        Growth(0.3, 0.02, 0.03, 0.008, 30, 0.0),
+        Growth(0.1, 0.0, 0.05, 0.0, 1, 0.0),
+    ],
     ids=["paper", "ours", "tight"],
 )
 def test_regions_grow_as_a_plain_search_grows_them(growth: Growth) -> None:

@@ -3,7 +3,7 @@
 import numpy as np
 from numba import njit
 
-from stillroom.geometry.arrays import F64, Floats, I32
+from stillroom.geometry.arrays import F64, I32, Floats
 
 
 def fundamental_from_motion(T_second_first: Floats, K: Floats) -> F64:

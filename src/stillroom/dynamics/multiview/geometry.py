@@ -78,7 +78,7 @@ class GeometryConfig:
     step_m: float = 0.03
     step_per_m: float = 0.008
     min_area_px: int = 200
-    min_seen_through: float = 0.4
+    min_seen_through: float = 0.1
 
     def build(self) -> "Geometry":
         """Return the geometry, without a past."""

@@ -88,7 +88,8 @@ class Slam:
         return _trajectory(list(keyframes.timestamp_s[alive]), list(keyframes.T_world_cam[alive]))
 
     def close(self) -> None:
-        """Finish the work that is still under way."""
+        """Finish the work that is still under way, and let the whole map come to rest."""
+        self.schedule.submit(self.mapper.finish)
         self.schedule.close()
 
     def _map_densely(self, tracked: Tracked, keyframe: int) -> None:
@@ -171,7 +172,7 @@ def build(
         tracker=timed_part(tracker, clock, track="tracking"),
         recovery=timed_part(recovery, clock, recover="recovery"),
         keyframe_policy=config.keyframes.build(),
-        mapper=timed_part(config.mapping.build(camera, world), clock, insert="keyframe", refine="mapping"),
+        mapper=timed_part(config.mapping.build(camera, world), clock, insert="keyframe", refine="mapping", finish="rest"),
         dense_mapper=timed_part(config.dense.build(camera, world), clock, integrate="dense", carve="carving"),
         map=world,
         observer=observer or Nothing(),

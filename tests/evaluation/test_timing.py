@@ -72,6 +72,24 @@ def test_other_threads_are_timed_by_their_own_cpu_clock() -> None:
     assert 16 <= clock.summary()[0].cpu_mean_ms < 40
 
 
+def test_what_comes_after_the_last_frame_counts_as_its_own() -> None:
+    clock = StageClock()
+    clock.timed("resting", burn)(2)
+    clock.conclude()  # no frame yet: nothing to count it for
+    for _ in range(2):
+        clock.timed("working", burn)(2)
+        clock.next_frame()
+    clock.timed("working", burn)(4)
+    clock.timed("resting", burn)(4)
+    clock.conclude()
+    clock.conclude()
+    times = {t.stage: t for t in clock.summary()}
+    assert clock.n_frames == 2
+    assert 4 <= times["working"].cpu_mean_ms < 6
+    assert times["resting"].n_frames == 1
+    assert 2 <= times["resting"].cpu_mean_ms < 3.5
+
+
 def test_nothing_timed_gives_an_empty_summary() -> None:
     assert StageClock().summary() == []
 

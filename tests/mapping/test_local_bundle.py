@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from small_world import CAMERA, SmallMap, SmallWorld, pose
+from small_world import CAMERA, SCALES, SmallMap, SmallWorld, pose
 
-from stillroom.data.map import Covisibility
+from stillroom.data.map import Covisibility, Map
 from stillroom.geometry import se3
-from stillroom.mapping.local_bundle import adjust_locally
+from stillroom.mapping.local_bundle import adjust_all, adjust_locally
 from stillroom.optimize.bundle import BundleConfig
 
 POSES = [pose(0.12 * k, 0.02 * k, 0.05 * k, (0.01 * k, -0.02 * k, 0.0)) for k in range(6)]
@@ -131,6 +131,15 @@ def test_viewing_geometry_follows_the_points() -> None:
     small.map.refresh_geometry(seen)
     np.testing.assert_array_equal(small.map.points.normal[seen], normals[seen])
     np.testing.assert_array_equal(small.map.points.max_distance_m[seen], largest[seen])
+
+
+def test_the_whole_map_is_adjusted_at_once_and_only_the_first_keyframe_holds_still() -> None:
+    small = shaken([1, 2, 3, 4, 5])
+    adjust_all(CAMERA, ADJUST, small.map)
+    np.testing.assert_array_equal(small.map.keyframes.T_world_cam[0], POSES[0])
+    assert pose_errors_m(small).max() < 2e-4
+    assert reprojection_px(small) < 0.05
+    adjust_all(CAMERA, ADJUST, Map(SCALES))  # nothing in it: nothing happens
 
 
 def test_a_keyframe_that_sees_nothing_changes_nothing() -> None:

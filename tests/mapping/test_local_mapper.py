@@ -121,3 +121,15 @@ def test_points_that_no_later_keyframe_sees_leave_the_map() -> None:
     assert len(ghosts) > 30
     assert world.points.is_alive[ghosts].mean() < 0.05
     assert world.points.is_alive[world.points_of(10)[world.points_of(10) >= 0]].all()
+
+
+def test_in_the_end_the_whole_map_comes_to_rest_unless_it_is_too_large() -> None:
+    shake = se3.exp(np.array([0.004, -0.003, 0.005, 0.002, -0.002, 0.001]))
+    found_m = {}
+    for most in (len(PATH), 0):
+        world, mapper, _ = walked(LocalMapperConfig(cull_keyframes=False, max_final_keyframes=most))
+        world.keyframes.T_world_cam[2] = PATH[2] @ shake
+        mapper.finish()
+        found_m[most] = np.linalg.norm(world.keyframe_pose(2)[:3, 3] - PATH[2][:3, 3])
+    assert found_m[len(PATH)] < 0.003
+    assert found_m[0] > 0.006

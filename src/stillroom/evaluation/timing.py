@@ -97,6 +97,17 @@ class StageClock:
             self._frames.append((len(self._frames) if index is None else index, self._present))
             self._present = {}
 
+    def conclude(self) -> None:
+        """Count what was done after the last frame as the last frame's."""
+        with self._lock:
+            if self._frames:
+                last = self._frames[-1][1]
+                for name, cost in self._present.items():
+                    total = last.setdefault(name, _Cost())
+                    total.wall_ns += cost.wall_ns
+                    total.cpu_ns += cost.cpu_ns
+            self._present = {}
+
     @property
     def n_frames(self) -> int:
         """Number of frames ended."""

@@ -1,4 +1,4 @@
-"""Local bundle adjustment: a keyframe, its covisible ones, and all that they see."""
+"""Bundle adjustment of a part of the map: a keyframe, its covisible ones and all that they see, or the whole map."""
 
 import numpy as np
 
@@ -14,8 +14,19 @@ def adjust_locally(keyframe: int, max_keyframes: int, camera: Camera, adjust: Bu
 
     Observations that do not fit afterwards are removed.
     """
+    adjust_these([keyframe, *world.covisibility.neighbours(keyframe, max_keyframes - 1)], camera, adjust, world)
+
+
+def adjust_all(camera: Camera, adjust: BundleAdjuster, world: Map) -> None:
+    """Adjust all keyframes but the first and all points; observations that do not fit afterwards are removed."""
+    adjust_these([int(keyframe) for keyframe in world.alive_keyframes()], camera, adjust, world)
+
+
+def adjust_these(free: list[int], camera: Camera, adjust: BundleAdjuster, world: Map) -> None:
+    """Adjust some keyframes and their points; others that see these points hold them in place, as does the first."""
+    if not free:
+        return
     table, points, keyframes = world.keypoints, world.points, world.keyframes
-    free = [keyframe, *world.covisibility.neighbours(keyframe, max_keyframes - 1)]
     point_ids = world.points_seen_by(np.array(free))
     place, rows = world.observations(point_ids)
     involved, obs_keyframe = np.unique(table.keyframe[rows], return_inverse=True)

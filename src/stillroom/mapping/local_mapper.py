@@ -9,7 +9,7 @@ from stillroom.data.result import Tracked
 from stillroom.geometry.camera import Camera
 from stillroom.mapping.culling import cull_keyframes, cull_points
 from stillroom.mapping.fusing import fuse_neighbourhood
-from stillroom.mapping.local_bundle import adjust_locally
+from stillroom.mapping.local_bundle import adjust_all, adjust_locally
 from stillroom.mapping.new_points import by_triangulation, from_depth
 from stillroom.optimize.bundle import BundleConfig
 
@@ -23,12 +23,15 @@ class LocalMapperConfig:
         n_neighbours: Covisible keyframes to triangulate with.
         max_bundle_keyframes: Keyframes that local bundle adjustment moves, at most.
         cull_keyframes: Whether redundant keyframes are removed.
+        max_final_keyframes: When the run ends, the whole map is adjusted once more if it has no more keyframes than
+            this; 0 leaves it as it is, as ORB-SLAM2 does.
     """
 
     th_depth: float = 40.0
     n_neighbours: int = 5
     max_bundle_keyframes: int = 20
     cull_keyframes: bool = True
+    max_final_keyframes: int = 200
     bundle: BundleConfig = field(default_factory=BundleConfig)
 
     def build(self, camera: Camera, world: Map) -> "LocalMapper":
@@ -76,3 +79,11 @@ class LocalMapper:
         adjust_locally(keyframe, self.config.max_bundle_keyframes, self.camera, self._adjust, world)
         if self.config.cull_keyframes:
             cull_keyframes(keyframe, self._close_depth_m, world)
+
+    def finish(self) -> None:
+        """Adjust the whole map together: what later keyframes saw mends the earlier ones.
+
+        Differs from ORB-SLAM2, which does this after a loop only.
+        """
+        if len(self.world.alive_keyframes()) <= self.config.max_final_keyframes:
+            adjust_all(self.camera, self._adjust, self.world)

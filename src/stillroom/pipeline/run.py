@@ -64,7 +64,9 @@ def run(
             _track_all(dataset, outcome, stop, newest, onlookers, progress)
         finally:
             progress.finish()
-            slam.close()
+            with clock.stage(FRAME):
+                slam.close()
+            clock.conclude()
     return outcome
 
 

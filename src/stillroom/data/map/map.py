@@ -18,6 +18,7 @@ class Map:
         scales: The pyramid of the keypoints.
         keyframes, keypoints, points: The tables; see `tables`.
         covisibility: Which keyframes see the same points.
+        loop_edges: Keyframes that closed loops: the one that knew the place, the one that came back.
     """
 
     def __init__(self, scales: ScaleLevels) -> None:
@@ -27,6 +28,7 @@ class Map:
         self.keypoints = KeypointTable(capacity=65536)
         self.points = PointTable(capacity=16384)
         self.covisibility = Covisibility()
+        self.loop_edges: list[tuple[int, int]] = []
 
     # Keyframes
 
@@ -140,6 +142,8 @@ class Map:
     def observe(self, point_ids: Ints, rows: Ints) -> int:
         """Let rows (N,) see points (N,); a keyframe sees a point at most once. Return how many links were made."""
         table, points = self.keypoints, self.points
+        points.is_unsaved[point_ids] = True
+        self.keyframes.is_unsaved[table.keyframe[rows]] = True
         return int(
             links.link(
                 point_ids.astype(np.int32),
@@ -168,6 +172,7 @@ class Map:
         """Remove points (N,) and all that saw them."""
         self._unlink(self.observations(point_ids)[1])
         self.points.is_alive[point_ids] = False
+        self.points.is_unsaved[point_ids] = True
 
     def replace_points(self, old_ids: Ints, new_ids: Ints) -> None:
         """Let all that saw an old point (N,) see the new one (N,) instead; the old ones are removed."""
@@ -177,6 +182,7 @@ class Map:
         np.add.at(self.points.n_visible, new_ids, self.points.n_visible[old_ids])
         np.add.at(self.points.n_found, new_ids, self.points.n_found[old_ids])
         self.points.is_alive[old_ids] = False
+        self.points.is_unsaved[old_ids] = True
         self.points.replaced_by[old_ids] = new_ids
 
     def current_ids(self, point_ids: I32) -> I32:
@@ -216,6 +222,7 @@ class Map:
 
     def refresh_geometry(self, point_ids: Ints) -> None:
         """Update viewing direction and distances of points (N,) after they or their keyframes moved."""
+        self.points.is_unsaved[point_ids] = True
         links.viewing_geometry(
             point_ids.astype(np.int32),
             self.points.position_m,
@@ -232,6 +239,11 @@ class Map:
 
     def _unlink(self, rows: Ints) -> None:
         table, points = self.keypoints, self.points
+        losing = table.point[rows]
+        losing = losing[losing >= 0]
+        points.is_unsaved[losing] = True
+        # Other keyframes' rows of these points change too: the next of a list steps up to where one leaves.
+        self.keyframes.is_unsaved[table.keyframe[self.observations(losing)[1]]] = True
         links.unlink(
             rows.astype(np.int64),
             table.point,

@@ -95,7 +95,10 @@ class KeypointTable(Table):
 
 
 class PointTable(Table):
-    """Map points. `n_observations` counts an observation with depth twice, as ORB-SLAM2's limits do."""
+    """Map points. `n_observations` counts an observation with depth twice, as ORB-SLAM2's limits do.
+
+    `is_unsaved` tells what changed since the map was last written to disk: whoever writes it clears it.
+    """
 
     position_m = Column(np.float64, 3)
     descriptors = Column(np.uint8, 32)
@@ -110,10 +113,14 @@ class PointTable(Table):
     n_found = Column(np.int32, fill=1)
     is_alive = Column(np.bool_, fill=1)
     replaced_by = Column(np.int32, fill=-1)
+    is_unsaved = Column(np.bool_, fill=1)
 
 
 class KeyframeTable(Table):
-    """Keyframes. A culled one keeps its place beneath its parent, so that frames hung on it keep a pose."""
+    """Keyframes. A culled one keeps its place beneath its parent, so that frames hung on it keep a pose.
+
+    `is_unsaved` tells of which keyframes the observations changed since the map was last written to disk.
+    """
 
     T_world_cam = Column(np.float64, 4, 4)
     timestamp_s = Column(np.float64)
@@ -123,3 +130,4 @@ class KeyframeTable(Table):
     is_alive = Column(np.bool_, fill=1)
     parent = Column(np.int32, fill=-1)
     T_parent_cam = Column(np.float64, 4, 4)
+    is_unsaved = Column(np.bool_, fill=1)

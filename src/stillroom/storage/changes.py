@@ -1,0 +1,158 @@
+"""What of a map has changed since it was last written."""
+
+import sqlite3
+from collections.abc import Iterable
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stillroom.data.map import Map
+from stillroom.geometry.arrays import F64, I32, I64, Bool
+from stillroom.storage.schema import KEYPOINTS, OBSERVATIONS, POINT_IDS, POINTS, POINTS_A_BLOCK, POSES
+
+
+class Changes:
+    """Finds and writes the changes of a map.
+
+    The map marks points and keyframes whose links changed (`is_unsaved`); poses, which are few, are compared. Counts of
+    how often a point was looked for and found change with every frame and are marked by nothing: they are written
+    along with a point's other changes.
+    """
+
+    def __init__(self, world: Map) -> None:
+        """Take everything as not written yet."""
+        self._world = world
+        self._known = _Poses.of(world, 0)
+        self.expect_all()
+        world.keyframes.is_unsaved[:] = True
+        world.covisibility.unsaved.update(range(len(world.keyframes)))
+
+    def forget(self) -> None:
+        """Take everything as written."""
+        world = self._world
+        self._known = _Poses.of(world, len(world.keyframes))
+        world.points.is_unsaved[:] = False
+        world.keyframes.is_unsaved[:] = False
+        world.covisibility.unsaved.clear()
+
+    def expect_all(self) -> None:
+        """Take all points as changed."""
+        self._world.points.is_unsaved[:] = True
+
+    def write(self, database: sqlite3.Connection) -> None:
+        """Write the changes in a transaction that is open; they count as written."""
+        present = _Poses.of(self._world, len(self._world.keyframes))
+        self._write_keyframes(database, present)
+        self._write_observations(database, present)
+        self._write_points(database)
+        self._write_edges(database)
+        self._known = present
+
+    def _write_keyframes(self, database: sqlite3.Connection, present: "_Poses") -> None:
+        table, keypoints, n_known = self._world.keyframes, self._world.keypoints, len(self._known)
+        for k in range(n_known, len(present)):
+            row = (k, 0, float(table.timestamp_s[k]), int(table.image_index[k]), *present.row(k), int(table.n_rows[k]))
+            insert(database, "keyframes", [row])
+            if present.is_alive[k]:
+                rows = self._world.rows(k)
+                blobs = [packed.pack(getattr(keypoints, name)[rows]) for name, packed in KEYPOINTS.items()]
+                insert(database, "keypoints", [(k, *blobs)])
+        update = "UPDATE keyframes SET is_alive = ?, parent = ?, T_world_cam = ?, T_parent_cam = ? WHERE keyframe = ?"
+        database.executemany(update, [(*present.row(k), k) for k in present.differing(self._known)])
+        # Of a culled keyframe only its place is kept.
+        culled = np.flatnonzero(self._known.is_alive & ~present.is_alive[:n_known])
+        database.executemany("DELETE FROM keypoints WHERE keyframe = ?", [(k,) for k in culled.tolist()])
+
+    def _write_observations(self, database: sqlite3.Connection, present: "_Poses") -> None:
+        table = self._world.keypoints
+        for k in _taken(self._world.keyframes.is_unsaved).tolist():
+            if not present.is_alive[k]:
+                database.execute("DELETE FROM observations WHERE keyframe = ?", (k,))
+                continue
+            rows = self._world.rows(k)
+            point = OBSERVATIONS["point"].pack(table.point[rows])
+            older_row = OBSERVATIONS["older_row"].pack(table.next_row[rows])
+            insert(database, "observations", [(k, point, older_row)])
+
+    def _write_points(self, database: sqlite3.Connection) -> None:
+        points = self._world.points
+        database.execute("UPDATE map SET n_points = ?", (len(points),))
+        blocks = np.unique(_taken(points.is_unsaved) // POINTS_A_BLOCK)
+        ids = (blocks[:, None] * POINTS_A_BLOCK + np.arange(POINTS_A_BLOCK)).ravel()
+        ids = ids[ids < len(points)]
+        ids = ids[points.is_alive[ids]]
+        # Columns are gathered for all blocks at once and cut where a block ends, which is many times faster.
+        ends = np.searchsorted(ids, (blocks + 1) * POINTS_A_BLOCK)
+        columns = [_cut(POINT_IDS.pack(ids), ends, len(ids))]
+        columns += [_cut(packed.pack(getattr(points, name)[ids]), ends, len(ids)) for name, packed in POINTS.items()]
+        rows = list(zip(blocks.tolist(), *columns, strict=True))
+        insert(database, "points", [row for row in rows if len(row[1]) > 0])
+        database.executemany("DELETE FROM points WHERE block = ?", [(row[0],) for row in rows if len(row[1]) == 0])
+
+    def _write_edges(self, database: sqlite3.Connection) -> None:
+        graph = self._world.covisibility
+        changed = sorted(graph.unsaved)
+        graph.unsaved.clear()
+        for k in changed:
+            database.execute("DELETE FROM covisibility WHERE older = ?", (k,))
+            database.execute("DELETE FROM covisibility WHERE newer = ?", (k,))
+            edges = [(min(k, other), max(k, other), weight) for other, weight in graph.edges_of(k).items()]
+            insert(database, "covisibility", edges)
+
+
+def insert(database: sqlite3.Connection, table: str, rows: Iterable[tuple[Any, ...]]) -> None:
+    """Write rows into a table, over those of the same key."""
+    rows = list(rows)
+    if rows:
+        marks = ", ".join("?" * len(rows[0]))
+        database.executemany(f"INSERT OR REPLACE INTO {table} VALUES ({marks})", rows)
+
+
+@dataclass(frozen=True)
+class _Poses:
+    """A copy of what may change of the keyframes themselves; K of them."""
+
+    is_alive: Bool
+    parent: I32
+    T_world_cam: F64
+    T_parent_cam: F64
+
+    @classmethod
+    def of(cls, world: Map, n: int) -> "_Poses":
+        """Copy those of the first `n` keyframes."""
+        table = world.keyframes
+        is_alive, parent = table.is_alive[:n].copy(), table.parent[:n].copy()
+        return cls(is_alive, parent, table.T_world_cam[:n].copy(), table.T_parent_cam[:n].copy())
+
+    def __len__(self) -> int:
+        return len(self.parent)
+
+    def row(self, k: int) -> tuple[int, int, bytes, bytes]:
+        """Return the values of a keyframe as they are stored."""
+        poses = POSES.pack(self.T_world_cam[k]), POSES.pack(self.T_parent_cam[k])
+        return int(self.is_alive[k]), int(self.parent[k]), *poses
+
+    def differing(self, earlier: "_Poses") -> list[int]:
+        """Return which of the earlier keyframes are not as they were."""
+        n = len(earlier)
+        changed = (self.is_alive[:n] != earlier.is_alive) | (self.parent[:n] != earlier.parent)
+        for now, before in ((self.T_world_cam, earlier.T_world_cam), (self.T_parent_cam, earlier.T_parent_cam)):
+            changed |= np.any(now[:n] != before, axis=(1, 2))
+        return [int(k) for k in np.flatnonzero(changed)]
+
+
+def _taken(is_unsaved: Bool) -> I64:
+    """Return the marked rows; none is marked any more."""
+    rows = np.flatnonzero(is_unsaved)
+    is_unsaved[rows] = False
+    return rows
+
+
+def _cut(packed: bytes, ends: NDArray[np.integer[Any]], n_rows: int) -> list[memoryview]:
+    """Cut packed rows where each block ends."""
+    row_bytes = len(packed) // max(1, n_rows)
+    view, edges = memoryview(packed), [0, *(ends * row_bytes).tolist()]
+    return [view[start:stop] for start, stop in pairwise(edges)]

@@ -1,0 +1,121 @@
+"""Whether a map is whole: everything that is referred to exists, and every number makes sense."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from stillroom.data.map import Map
+from stillroom.geometry.arrays import F64, I64, Bool
+
+RIGID = 1e-6
+"""How far a rotation may be from one whose columns are of length 1 and at right angles."""
+
+
+def problems_of_map(world: Map) -> Iterator[str]:
+    """Yield what is wrong with a map. What could make a run crash or hang comes first."""
+    yield from _problems_of_keyframes(world)
+    yield from _problems_of_links(world)
+    yield from _problems_of_points(world)
+    yield from _problems_of_covisibility(world)
+
+
+def _problems_of_keyframes(world: Map) -> Iterator[str]:
+    table, n = world.keyframes, len(world.keyframes)
+    wild = np.flatnonzero((table.parent < -1) | (table.parent >= n))
+    yield from (f"keyframe {k} hangs on {table.parent[k]}, which does not exist" for k in wild)
+    if len(wild) == 0:
+        yield from (f"culled keyframe {k} hangs on no living one" for k in _hanging_nowhere(world))
+    poses = np.where(table.is_alive[:, None, None], table.T_world_cam, table.T_parent_cam)
+    yield from (f"the pose of keyframe {k} is not rigid" for k in np.flatnonzero(~are_rigid(poses)))
+    yield from (f"the time of keyframe {k} is not finite" for k in np.flatnonzero(~np.isfinite(table.timestamp_s)))
+
+
+def _hanging_nowhere(world: Map) -> I64:
+    """Return the culled keyframes from which no way up leads to a living one."""
+    table = world.keyframes
+    now = np.arange(len(table))
+    for _ in range(len(table) + 1):
+        culled = (now >= 0) & ~table.is_alive[now]
+        if not culled.any():
+            break
+        now[culled] = table.parent[now[culled]]
+    return np.flatnonzero((now < 0) | ~table.is_alive[now])
+
+
+def _problems_of_links(world: Map) -> Iterator[str]:
+    table, points = world.keypoints, world.points
+    seen = table.point
+    wild = np.flatnonzero((seen < -1) | (seen >= len(points)))
+    yield from (f"keypoint row {row} sees point {seen[row]}, which does not exist" for row in wild)
+    if len(wild):
+        return
+    rows = np.flatnonzero(seen >= 0)
+    yield from (
+        f"keypoint row {row} sees point {seen[row]}, which is gone" for row in rows[~points.is_alive[seen[rows]]]
+    )
+    culled = rows[~world.keyframes.is_alive[table.keyframe[rows]]]
+    yield from (f"keypoint row {row} of a culled keyframe sees a point" for row in culled)
+    pairs = seen[rows].astype(np.int64) * len(world.keyframes) + table.keyframe[rows]
+    if len(np.unique(pairs)) < len(pairs):
+        yield "a keyframe sees a point twice"
+    yield from _problems_of_lists(world, rows)
+
+
+def _problems_of_lists(world: Map, rows: I64) -> Iterator[str]:
+    """Walk the lists of all points at once, a step at a time."""
+    table, points = world.keypoints, world.points
+    ids = np.flatnonzero(points.is_alive)
+    now, n_keyframes = points.first_row[ids].astype(np.int64), np.zeros(len(points), dtype=np.int64)
+    n_observations = np.zeros(len(points), dtype=np.int64)
+    for _ in range(len(world.keyframes) + 1):
+        ids, now = ids[now >= 0], now[now >= 0]
+        if len(ids) == 0:
+            break
+        astray = (now >= len(table)) | (table.point[np.minimum(now, len(table) - 1)] != ids)
+        if astray.any():
+            yield from (f"the list of point {i} leads to a keypoint that does not see it" for i in ids[astray])
+            return
+        n_keyframes[ids] += 1
+        n_observations[ids] += np.where(table.right_px[now] >= 0, 2, 1)
+        now = table.next_row[now].astype(np.int64)
+    if len(ids):
+        yield f"the list of point {ids[0]} does not end"
+        return
+    alive = np.flatnonzero(points.is_alive)
+    wrong = (n_keyframes[alive] != points.n_keyframes[alive]) | (n_observations[alive] != points.n_observations[alive])
+    yield from (f"point {i} is seen by other than the keyframes it counts" for i in alive[wrong])
+    if n_keyframes.sum() != len(rows):
+        yield f"{len(rows)} keypoints see a point, but {n_keyframes.sum()} are in the points' lists"
+
+
+def _problems_of_points(world: Map) -> Iterator[str]:
+    points, table = world.points, world.keypoints
+    alive = np.flatnonzero(points.is_alive)
+    for name in ("position_m", "normal", "min_distance_m", "max_distance_m"):
+        is_finite = np.isfinite(getattr(points, name)[alive]).reshape(len(alive), -1).all(axis=1)
+        yield from (f"{name} of point {i} is not finite" for i in alive[~is_finite])
+    for name in ("px", "angle_rad", "right_px", "depth_m"):
+        is_finite = np.isfinite(getattr(table, name)).reshape(len(table), -1).all(axis=1)
+        yield from (f"{name} of keypoint row {row} is not finite" for row in np.flatnonzero(~is_finite))
+    yield from (
+        f"keypoint row {row} is of pyramid level {table.octave[row]}, which does not exist"
+        for row in np.flatnonzero((table.octave < 0) | (table.octave >= world.scales.count))
+    )
+
+
+def _problems_of_covisibility(world: Map) -> Iterator[str]:
+    edges, n = world.covisibility.edges(), len(world.keyframes)
+    for older, newer, weight in edges.tolist():
+        if not (0 <= older < newer < n and world.keyframes.is_alive[older] and world.keyframes.is_alive[newer]):
+            yield f"covisibility joins keyframes {older} and {newer}, which are not both alive"
+        elif weight <= 0:
+            yield f"covisibility joins keyframes {older} and {newer} by {weight} points"
+
+
+def are_rigid(poses: F64) -> Bool:
+    """Tell which of the poses (N, 4, 4) are rotations with translations, in finite numbers."""
+    R = poses[:, :3, :3]
+    with np.errstate(invalid="ignore", over="ignore"):
+        off = np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max(axis=(1, 2), initial=0.0)
+        good = np.isfinite(poses).all(axis=(1, 2)) & (off < RIGID) & (np.linalg.det(R) > 0)
+    return np.asarray(good & (poses[:, 3] == (0.0, 0.0, 0.0, 1.0)).all(axis=1))

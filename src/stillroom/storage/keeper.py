@@ -1,0 +1,80 @@
+"""Keeping the map of a run on disk."""
+
+from dataclasses import dataclass
+
+from stillroom.data.image import RgbdImage
+from stillroom.data.result import FrameResult
+from stillroom.geometry.arrays import Bool
+from stillroom.geometry.camera import Camera
+from stillroom.storage.pictures import compress
+from stillroom.storage.stored import FrameNote
+from stillroom.storage.writer import MapWriter
+
+
+@dataclass(frozen=True)
+class MapKeeperConfig:
+    """What a map file keeps beside the map.
+
+    Attributes:
+        images: Whether depth and colours of keyframes are kept, for dense maps made later; about 0.3 MB a keyframe.
+    """
+
+    images: bool = False
+
+    def build(self, writer: MapWriter, session: int, camera: Camera) -> "MapKeeper":
+        """Return what keeps the map of a session, the one of this number."""
+        return MapKeeper(self, writer, session, camera)
+
+
+class MapKeeper:
+    """Writes a map as it grows: a commit for each keyframe, with the frames that were tracked since the last one."""
+
+    def __init__(self, config: MapKeeperConfig, writer: MapWriter, session: int, camera: Camera) -> None:
+        """Start before the first frame."""
+        self.config = config
+        self._writer, self._session, self._camera = writer, session, camera
+        self._frames: list[FrameNote] = []
+
+    def keep(self, keyframe: int, image: RgbdImage, moving: Bool) -> None:
+        """Write a new keyframe, and all that it changed.
+
+        Args:
+            keyframe: Its id.
+            image: Its image.
+            moving: Pixels that move (H, W).
+
+        Raises:
+            MapError: The disk is full, or the like.
+        """
+        wanted = self.config.images
+        pictures = compress(keyframe, image, moving, self._camera.depth_factor) if wanted else None
+        frames, self._frames = self._frames, []
+        self._writer.commit(frames, pictures)
+
+    def note(self, result: FrameResult) -> None:
+        """Remember where a frame was, until it is written."""
+        frame = FrameNote.of(result, self._session)
+        if frame is not None:
+            self._frames.append(frame)
+
+    def close(self) -> None:
+        """Write what is left, and leave one file.
+
+        Raises:
+            MapError: The disk is full, or the like.
+        """
+        self._writer.close(self._frames)
+
+    def abandon(self) -> None:
+        """Leave the file as the last keyframe made it: the map may be half changed."""
+        self._writer.abandon()
+
+
+class NoKeeper:
+    """Keeps nothing, so that no caller asks whether there is a file."""
+
+    def keep(self, keyframe: int, image: RgbdImage, moving: Bool) -> None:
+        """Do nothing."""
+
+    def note(self, result: FrameResult) -> None:
+        """Do nothing."""

@@ -1,0 +1,190 @@
+"""Opening a map file, and saying in one line what is wrong with it; a file that is refused is not touched."""
+
+import os
+import sqlite3
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from stillroom.errors import MapError
+from stillroom.storage.schema import APPLICATION_ID, TABLES, VERSION
+
+SUFFIX = ".stillmap"
+PAGE_BYTES = 8192
+LOG_BYTES = 32 << 20
+"""The write-ahead log is folded into the file when it has grown to this: each time costs a wait for the disk."""
+
+_HEADER_BYTES = 100
+_MAGIC = b"SQLite format 3\x00"
+
+
+@dataclass(frozen=True)
+class Header:
+    """What the first bytes of a SQLite file say (sqlite.org/fileformat2.html, section 1.3).
+
+    Attributes:
+        n_bytes: How large the file should be.
+        version: The format's version.
+        application_id: Whose format it is.
+    """
+
+    n_bytes: int
+    version: int
+    application_id: int
+
+
+def log_of(path: Path) -> Path:
+    """Return where the write-ahead log of a map lies while it is written, and after a crash."""
+    return path.with_name(path.name + "-wal")
+
+
+def inspect(path: Path) -> Header:
+    """Return the header of a map file, read without SQLite.
+
+    Raises:
+        MapError: There is no such file; it is no map, of a newer version, or cut short.
+    """
+    if path.is_dir():
+        raise MapError(f"{path}: is a folder; a map is a file, such as room{SUFFIX}")
+    try:
+        with path.open("rb") as file:
+            head = file.read(_HEADER_BYTES)
+            n_bytes = os.fstat(file.fileno()).st_size
+    except FileNotFoundError:
+        raise MapError(f"{path}: no such map; 'stillroom run SEQUENCE --map {path}' makes one") from None
+    except OSError as error:
+        raise MapError(f"{path}: cannot be read ({error.strerror})") from error
+    if head[: len(_MAGIC)] != _MAGIC:
+        raise MapError(f"{path}: {'is empty' if n_bytes == 0 else 'is no map of Stillroom'}; the file was not touched")
+    if n_bytes < _HEADER_BYTES:
+        raise MapError(f"{path}: is cut short after {n_bytes} bytes; copy it again from where it is whole")
+    page = int.from_bytes(head[16:18], "big")
+    header = Header(
+        n_bytes=(65536 if page == 1 else page) * int.from_bytes(head[28:32], "big"),
+        version=int.from_bytes(head[60:64], "big"),
+        application_id=int.from_bytes(head[68:72], "big"),
+    )
+    if header.application_id != APPLICATION_ID:
+        raise MapError(f"{path}: is an SQLite database, but no map of Stillroom; the file was not touched")
+    if not 1 <= header.version <= VERSION:
+        raise MapError(
+            f"{path}: is of map format {header.version}, and this Stillroom knows formats up to {VERSION}; "
+            "update Stillroom; the file was not touched"
+        )
+    # With a log beside it the file may rightly be shorter than it will be.
+    if n_bytes < header.n_bytes and not _has_log(path):
+        raise MapError(
+            f"{path}: is cut short: {n_bytes} of {header.n_bytes} bytes; copy it again from where it is whole"
+        )
+    return header
+
+
+@contextmanager
+def reading(path: Path) -> Iterator[sqlite3.Connection]:
+    """Open a map to read; the file stays as it is, byte for byte.
+
+    Raises:
+        MapError: It cannot be opened or read; see `inspect`.
+    """
+    inspect(path)
+    # Without a log nobody is writing: SQLite then needs neither locks nor files beside it.
+    how = "mode=ro" if _has_log(path) else "mode=ro&immutable=1"
+    with naming(path):
+        connection = sqlite3.connect(f"{path.resolve().as_uri()}?{how}", uri=True)
+        try:
+            yield connection
+        finally:
+            connection.close()
+
+
+def create(path: Path) -> sqlite3.Connection:
+    """Make a new, empty map and open it to write. It comes into being whole, or not at all.
+
+    Raises:
+        MapError: There is a file of this name already, or it cannot be made.
+    """
+    if path.exists():
+        raise MapError(
+            f"{path}: exists already; go on in it with --continue, track against it with --localize, "
+            "or choose another name"
+        )
+    if log_of(path).exists():
+        raise MapError(f"{log_of(path)}: belongs to a map that is gone; remove it, or choose another name")
+    unfinished = path.with_name(f"{path.name}.{os.getpid()}.new")
+    try:
+        with naming(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            connection = sqlite3.connect(unfinished, isolation_level=None)
+            connection.executescript(
+                f"PRAGMA page_size = {PAGE_BYTES}; PRAGMA application_id = {APPLICATION_ID};"
+                f"PRAGMA user_version = {VERSION}; BEGIN; {TABLES} COMMIT;"
+            )
+            connection.close()
+            unfinished.replace(path)
+    finally:
+        unfinished.unlink(missing_ok=True)
+    return open_to_write(path)
+
+
+def open_to_write(path: Path) -> sqlite3.Connection:
+    """Open a map that is there to write; nobody else can open it meanwhile.
+
+    Raises:
+        MapError: It cannot be opened, or somebody else is writing it; see `inspect`.
+    """
+    inspect(path)
+    with naming(path):
+        connection = sqlite3.connect(
+            f"{path.resolve().as_uri()}?mode=rw", uri=True, isolation_level=None, check_same_thread=False, timeout=0.0
+        )
+        try:
+            # synchronous = NORMAL: what was committed survives the end of the process, and a power cut leaves the
+            # map whole, if perhaps without the last few commits.
+            connection.executescript(
+                "PRAGMA locking_mode = EXCLUSIVE; PRAGMA journal_mode = WAL; PRAGMA synchronous = NORMAL;"
+                f"PRAGMA wal_autocheckpoint = {LOG_BYTES // PAGE_BYTES}; BEGIN IMMEDIATE; COMMIT;"
+            )
+        except sqlite3.Error:
+            connection.close()
+            raise
+    return connection
+
+
+def close_written(connection: sqlite3.Connection, path: Path) -> None:
+    """Close a map that was written: one file is left, without a log.
+
+    Raises:
+        MapError: The disk is full, or the like; the log, which then stays, holds what was committed.
+    """
+    with naming(path):
+        try:
+            connection.executescript("PRAGMA wal_checkpoint(TRUNCATE); PRAGMA journal_mode = DELETE;")
+        finally:
+            connection.close()
+
+
+@contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Turn what SQLite and the system say of a file into one line.
+
+    Raises:
+        MapError: In their place.
+    """
+    try:
+        yield
+    except sqlite3.OperationalError as error:
+        if "locked" in str(error):
+            raise MapError(f"{path}: is in use by another run; wait for its end, or choose another map") from error
+        raise MapError(f"{path}: {error}") from error
+    except sqlite3.DatabaseError as error:
+        raise MapError(f"{path}: is damaged ({error}); 'stillroom map check {path}' says more") from error
+    except OSError as error:
+        raise MapError(f"{path}: cannot be written ({error.strerror})") from error
+
+
+def _has_log(path: Path) -> bool:
+    try:
+        return log_of(path).stat().st_size > 0
+    except OSError:
+        return False

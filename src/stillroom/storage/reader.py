@@ -1,0 +1,156 @@
+"""Reading a map file. It is opened read-only, read whole, and closed again."""
+
+import sqlite3
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stillroom.data.frame import ScaleLevels
+from stillroom.data.image import RgbdImage
+from stillroom.data.map import Map
+from stillroom.errors import CalibrationError, MapError
+from stillroom.geometry.camera import Camera
+from stillroom.storage.opening import reading
+from stillroom.storage.pictures import Pictures, restore
+from stillroom.storage.schema import KEYPOINTS, OBSERVATIONS, POINT_IDS, POINTS, POSES, Packed
+from stillroom.storage.stored import FrameNote, Session, StoredMap, VocabularyReference
+
+
+def load_map(path: Path) -> StoredMap:
+    """Return what a map file holds.
+
+    Raises:
+        MapError: There is no such file, it is no map, of a newer version, cut short or damaged.
+    """
+    with reading(path) as database:
+        try:
+            return _read(database)
+        except MapError as error:
+            raise MapError(f"{path}: {error}") from error
+
+
+def keyframe_images(path: Path) -> Iterator[tuple[int, RgbdImage]]:
+    """Yield the images of the keyframes of which they were kept, with the keyframe's id, oldest first.
+
+    Raises:
+        MapError: As for `load_map`.
+    """
+    with reading(path) as database:
+        factor = float(database.execute("SELECT depth_factor FROM map").fetchone()[0])
+        rows = database.execute(
+            "SELECT keyframe, depth_png, rgb_jpeg, image_index, timestamp_s FROM images JOIN keyframes USING (keyframe)"
+            " ORDER BY keyframe"
+        )
+        for keyframe, depth_png, rgb_jpeg, image_index, timestamp_s in rows:
+            try:
+                yield keyframe, restore(Pictures(keyframe, depth_png, rgb_jpeg), image_index, timestamp_s, factor)
+            except MapError as error:
+                raise MapError(f"{path}: {error}") from error
+
+
+def _read(database: sqlite3.Connection) -> StoredMap:
+    head = _head(database)
+    world = Map(ScaleLevels(head["scale_factor"], head["n_levels"]))
+    _read_keyframes(database, world)
+    _read_points(database, world, head["n_points"])
+    edges = database.execute("SELECT older, newer, weight FROM covisibility ORDER BY older, newer").fetchall()
+    world.covisibility.restore(np.array(edges, dtype=np.int32).reshape(-1, 3))
+    sessions = database.execute(
+        "SELECT first_keyframe, started, stillroom, source_commit, sequence, method, seed, config FROM sessions"
+        " ORDER BY session"
+    )
+    frames = database.execute(
+        "SELECT session, image_index, timestamp_s, reference_keyframe, T_reference_cam FROM frames"
+        " ORDER BY session, image_index"
+    )
+    return StoredMap(
+        world,
+        _camera(head),
+        tuple(Session(*row) for row in sessions),
+        tuple(_frame(row) for row in frames),
+        VocabularyReference(head["vocabulary"], head["vocabulary_sha256"]),
+    )
+
+
+def _frame(row: tuple[int, int, float, int, bytes]) -> FrameNote:
+    session, image_index, timestamp_s, keyframe, pose = row
+    T_reference_cam = POSES.unpack(pose, 1, f"the pose of frame {image_index}")[0]
+    return FrameNote(session, image_index, timestamp_s, keyframe, T_reference_cam)
+
+
+def _head(database: sqlite3.Connection) -> dict[str, Any]:
+    cursor = database.execute("SELECT * FROM map")
+    row = cursor.fetchone()
+    if row is None:
+        raise MapError("its head is missing; the map is damaged")
+    return dict(zip((column[0] for column in cursor.description), row, strict=True))
+
+
+def _camera(head: dict[str, Any]) -> Camera:
+    names = "width", "height", "fx", "fy", "cx", "cy", "depth_factor", "bf"
+    k1, k2, p1, p2, k3 = (head[name] for name in ("k1", "k2", "p1", "p2", "k3"))
+    try:
+        return Camera(**{name: head[name] for name in names}, distortion=(k1, k2, p1, p2, k3))
+    except CalibrationError as error:
+        raise MapError(f"{error}; the map is damaged") from error
+
+
+def _read_keyframes(database: sqlite3.Connection, world: Map) -> None:
+    keyframes = database.execute(
+        "SELECT keyframe, timestamp_s, image_index, is_alive, parent, T_world_cam, T_parent_cam, n_keypoints"
+        " FROM keyframes ORDER BY keyframe"
+    ).fetchall()
+    if not keyframes:
+        return
+    ids, timestamp_s, image_index, is_alive, parent, T_world_cam, T_parent_cam, n_rows = zip(*keyframes, strict=True)
+    if ids != tuple(range(len(ids))):
+        raise MapError("keyframes are missing; the map is damaged")
+    first_row = np.cumsum((0, *n_rows))
+    world.keyframes.append(
+        len(ids),
+        timestamp_s=timestamp_s,
+        image_index=image_index,
+        is_alive=is_alive,
+        parent=parent,
+        T_world_cam=POSES.unpack(b"".join(T_world_cam), len(ids), "the poses of keyframes"),
+        T_parent_cam=POSES.unpack(b"".join(T_parent_cam), len(ids), "the poses of culled keyframes"),
+        first_row=first_row[:-1],
+        n_rows=n_rows,
+    )
+    world.keypoints.append(int(first_row[-1]), keyframe=np.repeat(np.arange(len(ids)), n_rows))
+    columns = {"next_row" if name == "older_row" else name: packed for name, packed in OBSERVATIONS.items()}
+    _fill(database, world, "keypoints", KEYPOINTS)
+    _fill(database, world, "observations", columns)
+
+
+def _fill(database: sqlite3.Connection, world: Map, table: str, columns: dict[str, Packed]) -> None:
+    """Take what a table holds of each keyframe into columns, here by their names in memory, of the keypoint table."""
+    filled = np.zeros(len(world.keyframes), dtype=np.bool_)
+    for keyframe, *blobs in database.execute(f"SELECT * FROM {table} ORDER BY keyframe"):
+        if not 0 <= keyframe < len(filled):
+            raise MapError(f"{table} of keyframe {keyframe}, which does not exist; the map is damaged")
+        rows = world.rows(keyframe)
+        for (name, packed), blob in zip(columns.items(), blobs, strict=True):
+            what = f"{name} of keyframe {keyframe}"
+            getattr(world.keypoints, name)[rows] = packed.unpack(blob, rows.stop - rows.start, what)
+        filled[keyframe] = True
+    missing = np.flatnonzero(world.keyframes.is_alive & ~filled)
+    if len(missing):
+        raise MapError(f"keyframe {missing[0]} has no {table}; the map is damaged")
+
+
+def _read_points(database: sqlite3.Connection, world: Map, n_points: int) -> None:
+    blocks = database.execute("SELECT * FROM points ORDER BY block").fetchall()
+    points = world.points
+    points.append(n_points, is_alive=False)
+    if not blocks:
+        return
+    id_blobs, *columns = (b"".join(blobs) for blobs in list(zip(*blocks, strict=True))[1:])
+    ids = POINT_IDS.unpack(id_blobs, len(id_blobs) // 4, "the ids of points")
+    if np.any(np.diff(ids) <= 0) or ids[0] < 0 or ids[-1] >= n_points:
+        raise MapError("the ids of points are out of order; the map is damaged")
+    points.is_alive[ids] = True
+    for (name, packed), blob in zip(POINTS.items(), columns, strict=True):
+        getattr(points, name)[ids] = packed.unpack(blob, len(ids), f"{name} of points")

@@ -1,0 +1,145 @@
+"""The tables of a map file. docs/map-file.md says the same in words; a change here needs a new `VERSION`."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stillroom.errors import MapError
+
+APPLICATION_ID = 0x5374696C
+"""Says in the file's header whose it is: "Stil" in ASCII."""
+
+VERSION = 1
+"""The version of the format, in the header's `user_version`."""
+
+POINTS_A_BLOCK = 256
+"""Points are stored in blocks of so many ids: a block is written anew when one of its points has changed."""
+
+TABLES = """
+CREATE TABLE map (
+    id INTEGER PRIMARY KEY CHECK (id = 1),
+    width INTEGER NOT NULL, height INTEGER NOT NULL,
+    fx REAL NOT NULL, fy REAL NOT NULL, cx REAL NOT NULL, cy REAL NOT NULL,
+    k1 REAL NOT NULL, k2 REAL NOT NULL, p1 REAL NOT NULL, p2 REAL NOT NULL, k3 REAL NOT NULL,
+    depth_factor REAL NOT NULL, bf REAL NOT NULL,
+    scale_factor REAL NOT NULL, n_levels INTEGER NOT NULL,
+    vocabulary TEXT NOT NULL, vocabulary_sha256 TEXT NOT NULL,
+    n_points INTEGER NOT NULL
+);
+CREATE TABLE sessions (
+    session INTEGER PRIMARY KEY,
+    first_keyframe INTEGER NOT NULL,
+    started TEXT NOT NULL, stillroom TEXT NOT NULL, source_commit TEXT NOT NULL,
+    sequence TEXT NOT NULL, method TEXT NOT NULL, seed INTEGER NOT NULL, config TEXT NOT NULL
+);
+CREATE TABLE keyframes (
+    keyframe INTEGER PRIMARY KEY,
+    submap INTEGER NOT NULL,
+    timestamp_s REAL NOT NULL, image_index INTEGER NOT NULL,
+    is_alive INTEGER NOT NULL, parent INTEGER NOT NULL,
+    T_world_cam BLOB NOT NULL, T_parent_cam BLOB NOT NULL,
+    n_keypoints INTEGER NOT NULL
+);
+CREATE TABLE keypoints (
+    keyframe INTEGER PRIMARY KEY,
+    px BLOB NOT NULL, octave BLOB NOT NULL, angle_rad BLOB NOT NULL, right_px BLOB NOT NULL, depth_m BLOB NOT NULL,
+    descriptors BLOB NOT NULL, is_static BLOB NOT NULL
+);
+CREATE TABLE observations (
+    keyframe INTEGER PRIMARY KEY,
+    point BLOB NOT NULL, older_row BLOB NOT NULL
+);
+CREATE TABLE points (
+    block INTEGER PRIMARY KEY,
+    id BLOB NOT NULL,
+    position_m BLOB NOT NULL, descriptors BLOB NOT NULL, normal BLOB NOT NULL,
+    min_distance_m BLOB NOT NULL, max_distance_m BLOB NOT NULL,
+    first_row BLOB NOT NULL, n_observations BLOB NOT NULL, n_keyframes BLOB NOT NULL, first_keyframe BLOB NOT NULL,
+    n_visible BLOB NOT NULL, n_found BLOB NOT NULL
+);
+CREATE TABLE covisibility (
+    older INTEGER NOT NULL, newer INTEGER NOT NULL, weight INTEGER NOT NULL,
+    PRIMARY KEY (older, newer)
+) WITHOUT ROWID;
+CREATE INDEX covisibility_newer ON covisibility (newer);
+CREATE TABLE frames (
+    session INTEGER NOT NULL, image_index INTEGER NOT NULL,
+    timestamp_s REAL NOT NULL, reference_keyframe INTEGER NOT NULL, T_reference_cam BLOB NOT NULL,
+    PRIMARY KEY (session, image_index)
+) WITHOUT ROWID;
+CREATE TABLE images (
+    keyframe INTEGER PRIMARY KEY,
+    depth_png BLOB NOT NULL, rgb_jpeg BLOB NOT NULL
+);
+"""
+
+POSE = np.dtype("<f8")
+
+
+@dataclass(frozen=True)
+class Packed:
+    """An array column: rows of shape `tail` one after the other, little-endian.
+
+    Attributes:
+        stored: Type in the file.
+        kept: Type in memory; the file's type holds all values that occur.
+        tail: Shape of a row.
+    """
+
+    stored: str
+    kept: type[np.generic]
+    tail: tuple[int, ...] = ()
+
+    def pack(self, values: NDArray[Any]) -> bytes:
+        """Return rows (N, *tail) as they are stored."""
+        return np.ascontiguousarray(values, dtype=self.stored).tobytes()
+
+    def unpack(self, blob: bytes, n_rows: int, what: str) -> NDArray[Any]:
+        """Return rows (N, *tail) of what was stored.
+
+        Args:
+            blob: What was stored.
+            n_rows: How many rows it must hold.
+            what: Where it comes from, for the message.
+
+        Raises:
+            MapError: It has another size.
+        """
+        dtype = np.dtype(self.stored)
+        expected = n_rows * int(np.prod(self.tail, dtype=np.int64)) * dtype.itemsize
+        if len(blob) != expected:
+            raise MapError(f"{what} has {len(blob)} bytes; it must have {expected}; the map is damaged")
+        return np.frombuffer(blob, dtype=dtype).reshape(n_rows, *self.tail).astype(self.kept)
+
+
+KEYPOINTS = {
+    "px": Packed("<f4", np.float32, (2,)),
+    "octave": Packed("u1", np.int32),
+    "angle_rad": Packed("<f4", np.float32),
+    "right_px": Packed("<f4", np.float32),
+    "depth_m": Packed("<f4", np.float32),
+    "descriptors": Packed("u1", np.uint8, (32,)),
+    "is_static": Packed("u1", np.bool_),
+}
+
+OBSERVATIONS = {"point": Packed("<i4", np.int32), "older_row": Packed("<i4", np.int32)}
+
+POINT_IDS = Packed("<i4", np.int32)
+
+POINTS = {
+    "position_m": Packed("<f8", np.float64, (3,)),
+    "descriptors": Packed("u1", np.uint8, (32,)),
+    "normal": Packed("<f8", np.float64, (3,)),
+    "min_distance_m": Packed("<f8", np.float64),
+    "max_distance_m": Packed("<f8", np.float64),
+    "first_row": Packed("<i4", np.int32),
+    "n_observations": Packed("<i4", np.int32),
+    "n_keyframes": Packed("<i4", np.int32),
+    "first_keyframe": Packed("<i4", np.int32),
+    "n_visible": Packed("<i4", np.int32),
+    "n_found": Packed("<i4", np.int32),
+}
+
+POSES = Packed("<f8", np.float64, (4, 4))

@@ -1,0 +1,142 @@
+"""Writing a map as it grows: with each commit what has changed since the last one, all of it or nothing."""
+
+import sqlite3
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import astuple
+from pathlib import Path
+from types import TracebackType
+
+from stillroom.data.map import Map
+from stillroom.geometry.camera import Camera
+from stillroom.storage import opening
+from stillroom.storage.changes import Changes, insert
+from stillroom.storage.pictures import Pictures
+from stillroom.storage.schema import POSES
+from stillroom.storage.stored import FrameNote, Session, StoredMap, VocabularyReference
+
+NO_VOCABULARY = VocabularyReference()
+
+
+def save_map(path: Path, stored: StoredMap) -> None:
+    """Write a whole map into a new file.
+
+    Raises:
+        MapError: The file exists already or cannot be written.
+    """
+    with MapWriter.create(path, stored.world, stored.camera, stored.vocabulary) as writer:
+        for session in stored.sessions:
+            writer.begin(session)
+        writer.commit(stored.frames)
+
+
+class MapWriter:
+    """Keeps a file in step with a map. As a context, it leaves one whole file behind; after an error, the last commit.
+
+    Calls may come from any thread, one at a time, and the map must not change while one is under way.
+    """
+
+    def __init__(self, connection: sqlite3.Connection, path: Path, changes: Changes) -> None:
+        """Write on an open connection; `create` and `go_on` make one."""
+        self.path = path
+        self._connection, self._changes = connection, changes
+
+    @classmethod
+    def create(
+        cls, path: Path, world: Map, camera: Camera, vocabulary: VocabularyReference = NO_VOCABULARY
+    ) -> "MapWriter":
+        """Start a new file.
+
+        Raises:
+            MapError: There is one already, or it cannot be made.
+        """
+        sizes = camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy
+        depth = camera.depth_factor, camera.bf
+        scales = world.scales.factor, world.scales.count
+        head = (1, *sizes, *camera.distortion, *depth, *scales, *astuple(vocabulary), 0)
+        writer = cls(opening.create(path), path, Changes(world))
+        with writer._transaction() as database:
+            insert(database, "map", [head])
+        return writer
+
+    @classmethod
+    def go_on(cls, path: Path, world: Map) -> "MapWriter":
+        """Go on with the file that a map was loaded from, before anything has changed in the map.
+
+        Raises:
+            MapError: Somebody else is writing it, or it cannot be written.
+        """
+        changes = Changes(world)
+        changes.forget()
+        return cls(opening.open_to_write(path), path, changes)
+
+    def begin(self, session: Session) -> int:
+        """Note that a session begins; return its number."""
+        with self._transaction() as database:
+            number = int(database.execute("SELECT count(*) FROM sessions").fetchone()[0])
+            insert(database, "sessions", [(number, *astuple(session))])
+        return number
+
+    def commit(self, frames: Iterable[FrameNote] = (), pictures: Pictures | None = None) -> None:
+        """Write what has changed since the last commit.
+
+        Args:
+            frames: Frames that were tracked since.
+            pictures: Depth and colours of a keyframe.
+
+        Raises:
+            MapError: The disk is full, or the like. The file then holds the last commit.
+        """
+        with self._transaction() as database:
+            self._changes.write(database)
+            insert(database, "frames", map(_row, frames))
+            if pictures is not None:
+                insert(database, "images", [astuple(pictures)])
+
+    def close(self, frames: Iterable[FrameNote] = ()) -> None:
+        """Write what has changed, the counts of all points too, and leave one file.
+
+        Raises:
+            MapError: The disk is full, or the like; what was committed is safe.
+        """
+        self._changes.expect_all()
+        try:
+            self.commit(frames)
+        except BaseException:
+            self._connection.close()
+            raise
+        opening.close_written(self._connection, self.path)
+
+    def abandon(self) -> None:
+        """Leave the file as the last commit made it."""
+        opening.close_written(self._connection, self.path)
+
+    def __enter__(self) -> "MapWriter":
+        """Return itself."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        """Close it; after an error without writing, for the map may be half changed."""
+        if kind is None:
+            self.close()
+        else:
+            self.abandon()
+
+    @contextmanager
+    def _transaction(self) -> Iterator[sqlite3.Connection]:
+        with opening.naming(self.path):
+            self._connection.execute("BEGIN IMMEDIATE")
+            try:
+                yield self._connection
+                self._connection.execute("COMMIT")
+            except BaseException:
+                if self._connection.in_transaction:
+                    self._connection.execute("ROLLBACK")
+                raise
+
+
+def _row(frame: FrameNote) -> tuple[int, int, float, int, bytes]:
+    pose = POSES.pack(frame.T_reference_cam)
+    return frame.session, frame.image_index, frame.timestamp_s, frame.reference_keyframe, pose

@@ -7,6 +7,7 @@ from stillroom.geometry import se3
 from stillroom.optimize import bundle_kernels
 from stillroom.optimize.bundle import BundleProblem, _Adjustment
 from stillroom.optimize.projection import point_information
+from stillroom.optimize.reduced_system import DenseSystem, SparseSystem
 
 LIMITS = (5.991, 7.815)
 NO_KERNEL = (np.inf, np.inf)
@@ -104,12 +105,18 @@ def test_a_step_solves_the_whole_damped_system(problem: BundleProblem, damping: 
     rhs = -b[:begin] + H[:begin, begin:] @ np.linalg.solve(H[begin:, begin:], b[begin:])
     H_cc, b_c, H_pp, b_p, W = work.blocks
     bundle_kernels.factor_points(H_pp, damping, work.factors)
+    got_S, got_rhs = np.empty((begin // 6, 6, begin // 6, 6)), np.empty((begin // 6, 6))
+    scratch = np.empty((int(np.diff(work.starts).max()), 3, 6))
     bundle_kernels.reduce_to_cameras(
-        work.starts, work.slots, H_cc, b_c, work.factors, b_p, W, damping, work.scratch, work.S, work.rhs
+        work.starts, work.slots, H_cc, b_c, work.factors, b_p, W, damping, scratch, got_S, got_rhs
     )
-    got = symmetric(work.S.reshape(begin, begin))
+    got = symmetric(got_S.reshape(begin, begin))
     np.testing.assert_allclose(got, S, atol=1e-5 * np.abs(S).max())
-    np.testing.assert_allclose(work.rhs.ravel(), rhs, atol=1e-5 * np.abs(rhs).max())
+    np.testing.assert_allclose(got_rhs.ravel(), rhs, atol=1e-5 * np.abs(rhs).max())
+    for system in (DenseSystem, SparseSystem):
+        xi = system(begin // 6, work.starts, work.slots).solve(H_cc, b_c, work.factors, b_p, W, damping)
+        assert xi is not None
+        np.testing.assert_allclose(xi.ravel(), np.linalg.solve(S, rhs), atol=1e-5)
 
     assert work.try_step(damping)
     whole = -np.linalg.solve(H, b)

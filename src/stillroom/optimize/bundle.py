@@ -4,10 +4,10 @@ After ORB-SLAM2's local bundle adjustment (Mur-Artal and Tardós 2017, section I
 Levenberg–Marquardt with a Schur complement over the points.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from stillroom.geometry.arrays import F64, Bool, Floats, Ints
 from stillroom.geometry.camera import Camera
@@ -18,9 +18,9 @@ from stillroom.optimize.bundle_kernels import (
     linearize,
     move_cameras,
     move_points,
-    reduce_to_cameras,
 )
 from stillroom.optimize.projection import intrinsics_of
+from stillroom.optimize.reduced_system import reduced_system
 
 
 @dataclass(frozen=True)
@@ -137,8 +137,7 @@ class _Adjustment:
             np.empty((n_observations, 3, 6)),
         )
         self.factors = np.empty((n_points, 6))
-        self.scratch = np.empty((int(counts.max(initial=0)), 3, 6))
-        self.S, self.rhs = np.empty((n_free, 6, n_free, 6)), np.empty((n_free, 6))
+        self.system = reduced_system(n_free, starts, self.slots)
 
     def evaluate(self, T: F64, points: F64, deltas2: tuple[float, float]) -> float:
         """Return the robust cost of the active observations; leaves every observation's χ² in `chi2`."""
@@ -152,20 +151,9 @@ class _Adjustment:
         """Write the damped step's outcome into the trial estimate; return whether there is one."""
         H_cc, b_c, H_pp, b_p, W = self.blocks
         factor_points(H_pp, damping, self.factors)
-        reduce_to_cameras(
-            self.starts, self.slots, H_cc, b_c, self.factors, b_p, W, damping, self.scratch, self.S, self.rhs
-        )
-        size = self.rhs.size
-        xi = np.zeros((0, 6))
-        if size:
-            try:
-                # The transpose is what LAPACK wants to work in place: its upper triangle is our lower one.
-                system = cho_factor(self.S.reshape(size, size).T, overwrite_a=True, check_finite=False)
-            except LinAlgError:
-                return False
-            xi = cho_solve(system, self.rhs.reshape(size), check_finite=False).reshape(-1, 6)
-            if not np.isfinite(xi).all():
-                return False
+        xi = self.system.solve(H_cc, b_c, self.factors, b_p, W, damping)
+        if xi is None:
+            return False
         move_cameras(self.T, self.free, xi, self.T_trial)
         move_points(self.points, self.starts, self.slots, self.factors, b_p, W, xi, self.points_trial)
         keep_in_front(self.T, self.points, self.T_trial, self.points_trial, self.starts, self.keyframes, self.is_active)
@@ -183,7 +171,7 @@ class BundleAdjuster:
     def __init__(self, config: BundleConfig | None = None) -> None:
         self.config = config or BundleConfig()
 
-    def __call__(self, problem: BundleProblem, camera: Camera) -> BundleResult:
+    def __call__(self, problem: BundleProblem, camera: Camera, stop: Callable[[], bool] | None = None) -> BundleResult:
         """Adjust the free keyframes and all points, and judge every observation.
 
         A first pass with Huber's kernel over all observations in front of their cameras; those beyond their χ² limit
@@ -191,6 +179,11 @@ class BundleAdjuster:
         pass the estimate changes only by steps that lower that pass's cost, and a finite start never ends in NaN.
 
         Differs from ORB-SLAM2: damping relative to the diagonal, and a pass ends early when it has converged.
+
+        Args:
+            problem: What to adjust.
+            camera: The calibration of all keyframes.
+            stop: Asked before each step whether to end early; what was reached by then is as sound as any result.
 
         Raises:
             IndexError: An observation names a keyframe or point that does not exist.
@@ -204,17 +197,19 @@ class BundleAdjuster:
         at_start = np.isfinite(work.chi2)
         work.is_active[:] = at_start
         initial_cost = work.evaluate(work.T, work.points, limits)
-        n_iterations = self._minimize(work, config.iterations_first, limits)
+        n_iterations = self._minimize(work, config.iterations_first, limits, stop)
         work.evaluate(work.T, work.points, limits)
         work.is_active[:] = work.chi2 <= limit
-        n_iterations += self._minimize(work, config.iterations_second, (np.inf, np.inf))
+        n_iterations += self._minimize(work, config.iterations_second, (np.inf, np.inf), stop)
         work.is_active[:] = at_start
         final_cost = work.evaluate(work.T, work.points, limits)
         is_inlier = np.empty(len(limit), dtype=np.bool_)
         is_inlier[work.order] = work.chi2 <= limit
         return BundleResult(work.T, work.points, is_inlier, initial_cost, final_cost, n_iterations)
 
-    def _minimize(self, work: _Adjustment, iterations: int, deltas2: tuple[float, float]) -> int:
+    def _minimize(
+        self, work: _Adjustment, iterations: int, deltas2: tuple[float, float], stop: Callable[[], bool] | None
+    ) -> int:
         """Run Levenberg–Marquardt on the active observations; return how many steps were tried."""
         if not work.is_active.any():
             return 0
@@ -222,6 +217,8 @@ class BundleAdjuster:
         cost = work.evaluate(work.T, work.points, deltas2)
         stale = True
         for iteration in range(iterations):
+            if stop is not None and stop():
+                return iteration
             if stale:
                 work.linearize(deltas2)
             solved = work.try_step(damping)

@@ -22,7 +22,7 @@ from stillroom.optimize.projection import (
     to_camera,
 )
 
-_FLOOR = 1e-9
+DIAGONAL_FLOOR = 1e-9
 """Added to every diagonal entry: what nothing observes stays where it is, and nothing becomes singular."""
 
 
@@ -134,14 +134,14 @@ def factor_points(H_pp: F64, damping: float, L: F64) -> None:
     Zeros where there is none: such a point stays where it is in this step.
     """
     for p in range(H_pp.shape[0]):
-        d0 = H_pp[p, 0] * (1.0 + damping) + _FLOOR
+        d0 = H_pp[p, 0] * (1.0 + damping) + DIAGONAL_FLOOR
         l00 = math.sqrt(d0) if d0 > 0.0 else 0.0
         l10 = H_pp[p, 1] / l00 if l00 > 0.0 else 0.0
         l20 = H_pp[p, 3] / l00 if l00 > 0.0 else 0.0
-        d1 = H_pp[p, 2] * (1.0 + damping) + _FLOOR - l10 * l10
+        d1 = H_pp[p, 2] * (1.0 + damping) + DIAGONAL_FLOOR - l10 * l10
         l11 = math.sqrt(d1) if d1 > 0.0 else 0.0
         l21 = (H_pp[p, 4] - l20 * l10) / l11 if l11 > 0.0 else 0.0
-        d2 = H_pp[p, 5] * (1.0 + damping) + _FLOOR - l20 * l20 - l21 * l21
+        d2 = H_pp[p, 5] * (1.0 + damping) + DIAGONAL_FLOOR - l20 * l20 - l21 * l21
         l22 = math.sqrt(d2) if d2 > 0.0 else 0.0
         if l00 * l11 * l22 > 0.0:
             L[p, 0], L[p, 1], L[p, 2] = 1.0 / l00, l10, 1.0 / l11
@@ -175,7 +175,7 @@ def reduce_to_cameras(
             rhs[f, a] = -b_c[f, a]
             for b in range(a + 1):
                 S[f, a, f, b] = H_cc[f, a, b]
-            S[f, a, f, a] += damping * H_cc[f, a, a] + _FLOOR
+            S[f, a, f, a] += damping * H_cc[f, a, a] + DIAGONAL_FLOOR
     for p in range(b_p.shape[0]):
         i0, l10, i1, l20, l21, i2 = L[p, 0], L[p, 1], L[p, 2], L[p, 3], L[p, 4], L[p, 5]
         y0 = i0 * b_p[p, 0]

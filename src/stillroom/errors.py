@@ -8,7 +8,7 @@
     ├── DatasetError           a sequence that cannot be opened
     │   └── FrameError         one frame of it that cannot be read; a run goes on without it
     ├── TrajectoryError        a trajectory or ground truth that cannot be read or compared
-    ├── MapError               a dense map that cannot be read, or not be turned into what was asked for
+    ├── MapError               a map that cannot be read, written, or turned into what was asked for
     ├── WeightsError           a network's weights that are absent or not what they claim to be
     ├── DownloadError          a file that could not be fetched, or came with the wrong checksum
     └── MissingExtraError      an optional library that is not installed
@@ -42,7 +42,7 @@ class TrajectoryError(StillroomError):
 
 
 class MapError(StillroomError):
-    """A dense map cannot be read, or not be turned into what was asked for."""
+    """A map cannot be read, written, or turned into what was asked for."""
 
 
 class WeightsError(StillroomError):

@@ -10,6 +10,7 @@ socket               question it answers                                        
 `MatchSieve`         which matches, and which of the image, do move? (sieve 2)    `dynamics`
 `DenseMapping`       what does the room look like without what moves? (sieve 3)   `dense`
 `FeatureExtractor`   where are the corners, and what do they look like?           `features`
+`MapKeeping`         what is kept of the map beyond the run, as it grows?         `storage`
 `Schedule`           when, and on which thread, does a piece of work run?         `schedule.py`
 `RunObserver`        who looks on while frames are tracked?                       `viz`, `cli`
 ===================  ===========================================================  =======================
@@ -166,6 +167,22 @@ class DenseMapping(Protocol):
 
     def cloud(self) -> DenseCloud | None:
         """Return the map as known now; None where none is made."""
+
+
+class MapKeeping(Protocol):
+    """Keeps the map beyond the run."""
+
+    def keep(self, keyframe: int, image: RgbdImage, moving: Bool) -> None:
+        """Write a keyframe, once the map around it is refined, and all that it changed.
+
+        Args:
+            keyframe: Its id in the map.
+            image: Its image.
+            moving: Pixels that move (H, W).
+        """
+
+    def note(self, result: FrameResult) -> None:
+        """Take note of where a frame was; every frame is noted."""
 
 
 class RunObserver(Protocol):

@@ -21,12 +21,14 @@ from stillroom.protocols import (
     DenseMapping,
     FeatureExtractor,
     KeypointSieve,
+    MapKeeping,
     Pending,
     RunObserver,
     Schedule,
     Segmenter,
 )
 from stillroom.schedule import InOrder
+from stillroom.storage.keeper import NoKeeper
 from stillroom.tracking.keyframe_policy import KeyframePolicy
 from stillroom.tracking.relocalizer import Relocalizer
 from stillroom.tracking.tracker import Tracker
@@ -47,9 +49,11 @@ class Slam:
     keyframe_policy: KeyframePolicy
     mapper: LocalMapper
     dense_mapper: DenseMapping
+    keeper: MapKeeping
     map: Map
     observer: RunObserver
     results: list[FrameResult] = field(default_factory=list)
+    first_keyframe: int = 0
 
     def process(self, image: RgbdImage) -> FrameResult:
         """Track one image; images come in order of time."""
@@ -64,6 +68,7 @@ class Slam:
         if self.keyframe_policy.wants(tracked, self.map):
             keyframe = self.mapper.insert(tracked)  # now: points from depth, from static keypoints only
             self.schedule.submit(self.mapper.refine, keyframe)  # later: triangulate, fuse, adjust, cull
+            self.schedule.submit(self.keeper.keep, keyframe, image, tracked.motion.moving)  # on disk, where wanted
         self._map_densely(tracked, keyframe)
         return self._conclude(tracked, semantics, keyframe)
 
@@ -82,8 +87,9 @@ class Slam:
         return _trajectory([stamp for stamp, _ in placed], [pose for _, pose in placed])
 
     def keyframe_trajectory(self) -> Trajectory:
-        """Return the poses of the keyframes in the map."""
+        """Return the poses of the keyframes of this run; those of earlier runs have times of their own."""
         alive = self.map.alive_keyframes()
+        alive = alive[alive >= self.first_keyframe]
         keyframes = self.map.keyframes
         return _trajectory(list(keyframes.timestamp_s[alive]), list(keyframes.T_world_cam[alive]))
 
@@ -126,6 +132,7 @@ class Slam:
             T_reference_cam=self._in_reference(tracked),
         )
         self.results.append(result)
+        self.keeper.note(result)
         self.observer.on_frame(tracked, semantics.result(), result)
         return result
 
@@ -142,6 +149,8 @@ def build(
     schedule: Schedule | None = None,
     observer: RunObserver | None = None,
     clock: StageClock | None = None,
+    world: Map | None = None,
+    keeper: MapKeeping | None = None,
 ) -> Slam:
     """Put a system together.
 
@@ -152,6 +161,8 @@ def build(
         schedule: When work runs; in order where not given.
         observer: Who looks on; nobody where not given.
         clock: Notes what the stages cost. `tracking` includes `dynamics`, the time of sieve 2.
+        world: The map of an earlier run to go on in; a new one where not given.
+        keeper: Keeps the map beyond the run; nobody does where not given.
 
     Raises:
         ConfigError: A value is impossible.
@@ -159,7 +170,7 @@ def build(
     """
     clock = clock or StageClock()
     segmenter = segmenter or config.semantics.build()
-    world = Map(config.features.scales)
+    world = world or Map(config.features.scales)
     sieve = timed_part(config.dynamics.build(config.seed), clock, judge="dynamics")
     tracker = config.tracking.build(sieve)
     recovery = config.recovery.build(tracker, config.seed)
@@ -174,8 +185,10 @@ def build(
         keyframe_policy=config.keyframes.build(),
         mapper=timed_part(config.mapping.build(camera, world), clock, insert="keyframe", refine="mapping", finish="rest"),
         dense_mapper=timed_part(config.dense.build(camera, world), clock, integrate="dense", carve="carving"),
+        keeper=timed_part(keeper, clock, keep="storage") if keeper else NoKeeper(),
         map=world,
         observer=observer or Nothing(),
+        first_keyframe=len(world.keyframes),
     )
 
 

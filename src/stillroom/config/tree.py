@@ -23,6 +23,7 @@ from stillroom.features.orb import OrbConfig
 from stillroom.mapping.local_mapper import LocalMapperConfig
 from stillroom.semantics.depth_clusters import NoClustersConfig
 from stillroom.semantics.nothing import NothingConfig
+from stillroom.storage.keeper import MapKeeperConfig
 from stillroom.tracking.keyframe_policy import KeyframePolicyConfig
 from stillroom.tracking.relocalizer import RelocalizerConfig
 from stillroom.tracking.tracker import TrackerConfig
@@ -42,6 +43,7 @@ class SlamConfig:
         features: Keypoints.
         tracking, recovery, keyframes, mapping: ORB-SLAM2's parts.
         dense: The dense map (sieve 3); `kind` chooses the part.
+        storage: What a map file keeps beside the map, where a run writes one.
     """
 
     method: str = "orb-slam2"
@@ -56,3 +58,4 @@ class SlamConfig:
     keyframes: KeyframePolicyConfig = field(default_factory=KeyframePolicyConfig)
     mapping: LocalMapperConfig = field(default_factory=LocalMapperConfig)
     dense: DenseMappingConfig = field(default_factory=NoDenseMapConfig, metadata={"kinds": DENSE})
+    storage: MapKeeperConfig = field(default_factory=MapKeeperConfig)

@@ -8,6 +8,7 @@ from typing import Any
 from stillroom.datasets.open import open_dataset
 from stillroom.datasets.selection import parse_range, select
 from stillroom.errors import ConfigError
+from stillroom.pipeline.maps.use import MapFile
 from stillroom.protocols import Dataset, RunObserver, Segmenter
 from stillroom.system import Slam
 
@@ -55,6 +56,7 @@ class RunOptions:
         observe: Makes somebody who looks on, of the system that is run.
         source: Where the images come from; noted in config.toml.
         asked: What else is to be noted there.
+        map: The map file to make, to go on in, or to track against.
     """
 
     root: Path | None = Path("results")
@@ -65,6 +67,7 @@ class RunOptions:
     observe: Callable[[Slam], RunObserver] | None = None
     source: Source | None = None
     asked: dict[str, Any] = field(default_factory=dict)
+    map: MapFile | None = None
 
 
 def detector_ranges(texts: Iterable[str], dataset: Dataset) -> tuple[tuple[int, int], ...]:

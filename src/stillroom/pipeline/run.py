@@ -16,6 +16,7 @@ from stillroom.errors import FrameError
 from stillroom.evaluation.timing import FRAME, StageClock
 from stillroom.pipeline import folders, results
 from stillroom.pipeline.evaluating import evaluate_trajectory
+from stillroom.pipeline.maps.use import OpenedMap, opened_map
 from stillroom.pipeline.options import RunOptions
 from stillroom.pipeline.outcome import RunOutcome
 from stillroom.pipeline.plots import draw_maps, draw_plots
@@ -48,15 +49,30 @@ def run(
         StillroomError: Something that the run needs is wrong; a single image that cannot be read is not.
     """
     options = options or RunOptions()
+    if options.map is not None:
+        config = options.map.fitting(config)
     _settle(config.seed)
+    with opened_map(options.map, config, dataset) as opened:
+        return _run(dataset, config, options, progress, opened)
+
+
+def _run(
+    dataset: Dataset, config: SlamConfig, options: RunOptions, progress: Progress, opened: OpenedMap
+) -> RunOutcome:
     clock, newest = StageClock(), _Newest()
     segmenter = withhold(options.segmenter or config.semantics.build(), options.detector_off)
-    slam = build(config, dataset.camera, segmenter, observer=newest, clock=clock)
+    slam = build(
+        config, dataset.camera, segmenter, observer=newest, clock=clock, world=opened.world, keeper=opened.keeper
+    )
     folder = _folder(dataset, config, options)
     outcome = RunOutcome(config.method, folder, slam, clock)
     if folder is not None:
         results.write_config(folder, dataset, config, options)
-    with StopRequest() as stop, _concluded_in_any_case(outcome, dataset, stop, options.pictures > 0):
+    with (
+        StopRequest() as stop,
+        _concluded_in_any_case(outcome, dataset, stop, options.pictures > 0),
+        opened.completed(),
+    ):
         onlookers = [_recorder(folder, dataset, options.pictures)]
         onlookers += [options.observe(slam)] if options.observe is not None else []
         progress.start(len(dataset))

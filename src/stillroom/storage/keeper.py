@@ -65,10 +65,6 @@ class MapKeeper:
         """
         self._writer.close(self._frames)
 
-    def abandon(self) -> None:
-        """Leave the file as the last keyframe made it: the map may be half changed."""
-        self._writer.abandon()
-
 
 class NoKeeper:
     """Keeps nothing, so that no caller asks whether there is a file."""

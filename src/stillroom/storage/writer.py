@@ -40,6 +40,7 @@ class MapWriter:
         """Write on an open connection; `create` and `go_on` make one."""
         self.path = path
         self._connection, self._changes = connection, changes
+        self._is_open = True
 
     @classmethod
     def create(
@@ -100,16 +101,18 @@ class MapWriter:
             MapError: The disk is full, or the like; what was committed is safe.
         """
         self._changes.expect_all()
-        try:
-            self.commit(frames)
-        except BaseException:
-            self._connection.close()
-            raise
-        opening.close_written(self._connection, self.path)
+        self.commit(frames)
+        self.abandon()
 
     def abandon(self) -> None:
-        """Leave the file as the last commit made it."""
-        opening.close_written(self._connection, self.path)
+        """Leave one file, as the last commit made it; do nothing if that is done.
+
+        Raises:
+            MapError: The disk is full, or the like; what was committed is safe.
+        """
+        if self._is_open:
+            self._is_open = False
+            opening.close_written(self._connection, self.path)
 
     def __enter__(self) -> "MapWriter":
         """Return itself."""

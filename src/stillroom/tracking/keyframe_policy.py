@@ -23,6 +23,7 @@ class KeyframePolicyConfig:
         min_tracked_close, max_untracked_close: Close points are needed when fewer are tracked and more are not.
         share: A keyframe is due when fewer than this share of the reference keyframe's points is tracked.
         min_inliers: Below this the pose is too weak to build on.
+        enabled: Whether frames become keyframes at all; false tracks against a map that is there.
     """
 
     min_gap: int = 3
@@ -32,6 +33,7 @@ class KeyframePolicyConfig:
     max_untracked_close: int = 70
     share: float = 0.6
     min_inliers: int = 15
+    enabled: bool = True
 
     def build(self) -> "KeyframePolicy":
         """Return the policy."""
@@ -51,7 +53,7 @@ class KeyframePolicy:
         """Tell whether the frame should become a keyframe."""
         self._since_keyframe += 1
         self._since_recovery = 0 if tracked.recovered else self._since_recovery + 1
-        if tracked.state is not TrackingState.OK:
+        if tracked.state is not TrackingState.OK or not self.config.enabled:
             return False
         wanted = len(world.keyframes) == 0 or self._is_due(tracked, world)
         if wanted:

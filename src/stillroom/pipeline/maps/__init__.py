@@ -1,0 +1,1 @@
+"""Maps on disk, as runs use them."""

@@ -1,0 +1,137 @@
+"""What a run does with a map file: make it, go on in it, or track against it."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from pathlib import Path
+
+from stillroom.config import SlamConfig, to_toml
+from stillroom.data.map import Map
+from stillroom.dense.nothing import NoDenseMapConfig
+from stillroom.errors import MapError
+from stillroom.geometry.camera import Camera
+from stillroom.pipeline.provenance import provenance
+from stillroom.protocols import Dataset
+from stillroom.storage.keeper import MapKeeper
+from stillroom.storage.reader import load_map
+from stillroom.storage.stored import Session, StoredMap
+from stillroom.storage.writer import MapWriter
+
+
+class MapUse(StrEnum):
+    """What a run does with a map file."""
+
+    NEW = "new"
+    """Make it, and write it as it grows."""
+    CONTINUE = "continue"
+    """Begin by recognising the place, and go on in the map; write it as it grows."""
+    LOCALIZE = "localize"
+    """Track against it as it is; the file is read once, and nothing is written."""
+
+
+@dataclass(frozen=True)
+class MapFile:
+    """A map file and what is to be done with it."""
+
+    path: Path
+    use: MapUse = MapUse.NEW
+
+    def fitting(self, config: SlamConfig) -> SlamConfig:
+        """Return the config of a run on this file: one that only tracks makes no keyframes, and no dense map."""
+        if self.use is not MapUse.LOCALIZE:
+            return config
+        return replace(
+            config,
+            keyframes=replace(config.keyframes, enabled=False),
+            mapping=replace(config.mapping, max_final_keyframes=0),
+            dense=NoDenseMapConfig(),
+        )
+
+
+@dataclass(frozen=True)
+class OpenedMap:
+    """A map file in use.
+
+    Attributes:
+        world: The map in it; None for a run that keeps no map.
+        keeper: Writes it; None where nothing is written.
+    """
+
+    world: Map | None = None
+    keeper: MapKeeper | None = None
+
+    @contextmanager
+    def completed(self) -> Iterator[None]:
+        """Write what is left when the block ends; after an error the last keyframe's commit stays."""
+        yield
+        if self.keeper is not None:
+            self.keeper.close()
+
+
+@contextmanager
+def opened_map(file: MapFile | None, config: SlamConfig, dataset: Dataset) -> Iterator[OpenedMap]:
+    """Open the map file of a run, where it has one, and let it go in any case.
+
+    Raises:
+        MapError: The file cannot be used so, or does not fit the config or the camera; it is then as it was.
+    """
+    if file is None:
+        yield OpenedMap()
+        return
+    if file.use is MapUse.LOCALIZE:
+        yield OpenedMap(_loaded(file.path, config).world)
+        return
+    if file.use is MapUse.NEW:
+        world = Map(config.features.scales)
+        writer = MapWriter.create(file.path, world, dataset.camera)
+    else:
+        stored = _loaded(file.path, config)
+        _require_camera(file.path, stored.camera, dataset)
+        world, writer = stored.world, MapWriter.go_on(file.path, stored.world)
+    keeper = None
+    try:
+        number = writer.begin(_session(world, config, dataset))
+        keeper = config.storage.build(writer, number, dataset.camera)
+        yield OpenedMap(world, keeper)
+    finally:
+        writer.abandon()
+
+
+def _loaded(path: Path, config: SlamConfig) -> StoredMap:
+    stored = load_map(path)
+    if stored.world.scales != config.features.scales:
+        was, asked = stored.world.scales, config.features.scales
+        raise MapError(
+            f"{path}: was made with {was.count} pyramid levels of {was.factor}, not {asked.count} of {asked.factor}; "
+            f"--set features.n_levels={was.count} --set features.scale_factor={was.factor}"
+        )
+    if len(stored.world.keyframes) == 0:
+        raise MapError(f"{path}: holds no keyframe; there is nothing to recognise; make it anew")
+    return stored
+
+
+def _require_camera(path: Path, made_with: Camera, dataset: Dataset) -> None:
+    if made_with != dataset.camera:
+        raise MapError(
+            f"{path}: was made with another camera ({_described(made_with)}) than that of {dataset.name} "
+            f"({_described(dataset.camera)}); one map holds one camera's keyframes; --localize works with any"
+        )
+
+
+def _described(camera: Camera) -> str:
+    return f"{camera.width}×{camera.height}, fx {camera.fx:g}, fy {camera.fy:g}, cx {camera.cx:g}, cy {camera.cy:g}"
+
+
+def _session(world: Map, config: SlamConfig, dataset: Dataset) -> Session:
+    origin = provenance()
+    return Session(
+        first_keyframe=len(world.keyframes),
+        started=origin["date"],
+        stillroom=origin["versions"]["stillroom"],
+        source_commit=origin["commit"],
+        sequence=dataset.name,
+        method=config.method,
+        seed=config.seed,
+        config=to_toml(config),
+    )

@@ -1,0 +1,153 @@
+"""PSPNet says what may move (PSPNet-SLAM III.A): the weights that come with Stillroom, or others of its training."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from importlib.resources import as_file, files
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from stillroom.errors import ConfigError, WeightsError
+from stillroom.geometry.arrays import F32, U8
+from stillroom.protocols import Segmenter
+from stillroom.semantics.masks.carry import MaskCarryConfig
+from stillroom.semantics.masks.class_names import VOC_CLASSES, channels_of
+from stillroom.semantics.masks.network import LOGITS, Reading, SegmentationNetwork
+from stillroom.semantics.masks.onnx_masks import OnnxMasks, OnnxMasksConfig, find_model
+from stillroom.semantics.masks.refine import RefineConfig
+from stillroom.semantics.masks.regions import RegionsConfig
+
+SHIPPED = "pspnet_mobilenetv2_voc.onnx"
+INPUTS_PX = {"320x240": 320, "640x480": 640}
+HALF = (127.5, 127.5, 127.5)
+OUTPUT_STRIDE = 4
+"""Pixels of the input per pixel of the scores that `stillroom export pspnet` lets a network tell."""
+
+
+@dataclass(frozen=True)
+class PspNetConfig:
+    """Which PSPNet says what may move, and what it is asked.
+
+    Attributes:
+        model: A file of `stillroom export pspnet`; a bare name is sought in the models' usual places. Empty is the one
+            that comes with Stillroom.
+        input: Size at which it sees images: "640x480", or "320x240" for a quarter of the time.
+        movable: Names of the classes that may move, of the 21 of PASCAL VOC.
+        probability: From here on a pixel is of a movable class; the movable classes' probabilities count together.
+        every: The network sees every n-th image; to those between, masks are carried.
+        latency_frames: How many images after the one that it saw the network's answer becomes known.
+        refine: How borders are mended by depth.
+        carry: How masks are carried.
+        regions: What is told of the regions.
+    """
+
+    model: Path | None = None
+    input: str = "640x480"
+    movable: tuple[str, ...] = ("person",)
+    probability: float = 0.5
+    every: int = 1
+    latency_frames: int = 0
+    refine: RefineConfig = field(default_factory=RefineConfig)
+    carry: MaskCarryConfig = field(default_factory=MaskCarryConfig)
+    regions: RegionsConfig = field(default_factory=RegionsConfig)
+
+    def build(self) -> Segmenter:
+        """Return the segmenter.
+
+        Raises:
+            ConfigError: A value is impossible, or a class is not among VOC's.
+            WeightsError: The network's file is absent, or none of `stillroom export pspnet`.
+        """
+        if self.input not in INPUTS_PX:
+            raise ConfigError(f"input is '{self.input}'; it must be one of {', '.join(INPUTS_PX)}")
+        masks = OnnxMasksConfig(
+            movable=self.movable, probability=self.probability, every=self.every,
+            latency_frames=self.latency_frames, refine=self.refine, carry=self.carry, regions=self.regions,
+        )  # fmt: skip
+        masks.check()
+        channels = channels_of(self.movable, VOC_CLASSES)
+        return OnnxMasks(pspnet(self.model, channels, INPUTS_PX[self.input]), masks)
+
+
+def pspnet(model: Path | None, channels: list[int], longer_side_px: int) -> SegmentationNetwork:
+    """Return a network of `stillroom export pspnet`.
+
+    Args:
+        model: The file; None is the one that comes with Stillroom.
+        channels: Channels of the classes that are asked for.
+        longer_side_px: Longer side of its input [px]; the file says to what it is rounded.
+
+    Raises:
+        WeightsError: The file is absent, or none of `stillroom export pspnet`.
+    """
+    if model is not None:
+        return PspNetwork(find_model(model), channels, longer_side_px)
+    with as_file(files("stillroom.semantics") / "weights" / SHIPPED) as shipped:
+        return PspNetwork(shipped, channels, longer_side_px)
+
+
+class PspNetwork(SegmentationNetwork):
+    """A network that tells scores at a fourth of its input's size, and in its file how its pixels lie."""
+
+    def __init__(self, path: Path, channels: list[int], longer_side_px: int) -> None:
+        """Load it.
+
+        Raises:
+            WeightsError: The file is absent, or none of `stillroom export pspnet`.
+        """
+        # What the file says is known only when it is loaded; until then any size will do.
+        super().__init__(path, channels, len(VOC_CLASSES), Reading(longer_side_px, 1, 0, HALF, HALF, False, LOGITS))
+        about: Mapping[str, str] = self._session.get_modelmeta().custom_metadata_map
+        try:
+            self._corners = about["corners"] == "1"
+            step, offset = int(about["stride"]), int(self._corners)
+            mean, std = _three(about["mean"]), _three(about["std"])
+        except (KeyError, ValueError) as error:
+            raise WeightsError(
+                f"{path}: not written by 'stillroom export pspnet'; other networks plug in as semantics.kind=onnx-masks"
+            ) from error
+        self._reading = Reading(longer_side_px, step, offset, mean, std, False, LOGITS)
+
+    def probabilities(self, rgb: U8, width: int, height: int) -> F32:
+        """Return how likely each pixel is of each class that is asked for (M, height, width) float32 in [0, 1].
+
+        Args:
+            rgb: Colours (H, W, 3) uint8.
+            width: Columns of the answer.
+            height: Rows of the answer.
+
+        Raises:
+            WeightsError: The network cannot be run on the image.
+        """
+        blob = self._blob(rgb)
+        try:
+            output = self._session.run(None, {self._input.name: blob})[0]
+        except self._failures as error:
+            raise WeightsError(f"{self._path}: cannot be run on an image ({error})") from error
+        likely = self._likely(self._classes_first(np.asarray(output)))
+        to_scores = np.array([self._line(blob.shape[3], width), self._line(blob.shape[2], height)])
+        affine = np.array([[to_scores[0, 0], 0.0, to_scores[0, 1]], [0.0, to_scores[1, 0], to_scores[1, 1]]])
+        return np.stack([_warped(channel, affine, width, height) for channel in likely])
+
+    def _line(self, input_px: int, answer_px: int) -> tuple[float, float]:
+        """Return factor and offset from a pixel of the answer to the pixel of the scores along one axis."""
+        factor = input_px / answer_px
+        offset = 0.5 * factor - 0.5
+        if self._corners:
+            return factor / OUTPUT_STRIDE, offset / OUTPUT_STRIDE
+        return factor / OUTPUT_STRIDE, (offset + 0.5) / OUTPUT_STRIDE - 0.5
+
+
+def _three(text: str) -> tuple[float, float, float]:
+    red, green, blue = (float(word) for word in text.split())
+    return red, green, blue
+
+
+def _warped(channel: F32, affine: Any, width: int, height: int) -> F32:
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    fit = cv2.warpAffine(
+        np.ascontiguousarray(channel), affine, (width, height), flags=flags, borderMode=cv2.BORDER_REPLICATE
+    )
+    return np.asarray(fit, dtype=np.float32)

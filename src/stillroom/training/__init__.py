@@ -1,0 +1,1 @@
+"""PSPNet: the network, how it learns, and how it becomes an ONNX file. torch is imported only where it is used."""

@@ -1,0 +1,1 @@
+"""Networks as lists of steps, which torch trains and ONNX stores."""

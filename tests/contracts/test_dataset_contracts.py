@@ -52,6 +52,12 @@ def with_a_bad_frame(tmp_path: Path) -> Opened:
     return sequence, tuple(pixel for pixel in known if pixel.index != 2)
 
 
+def played_backwards(tmp_path: Path) -> Opened:
+    known = write_tiny_sequence(tmp_path / "tiny", frames=12)
+    chosen = select(open_tum(tmp_path / "tiny"), frames="2:11", reverse=True)
+    return chosen, tuple(replace(p, index=10 - p.index) for p in known if 2 <= p.index < 11)
+
+
 def selection(tmp_path: Path) -> Opened:
     known = write_tiny_sequence(tmp_path / "tiny", frames=12)
     chosen = select(open_tum(tmp_path / "tiny"), frames="2:11", drop=["4:6"])
@@ -73,6 +79,7 @@ OPENERS: list[Callable[[Path], Opened]] = [
     plain_folder_with_a_rate,
     with_a_bad_frame,
     selection,
+    played_backwards,
     blackout,
 ]
 

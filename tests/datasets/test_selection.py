@@ -137,3 +137,49 @@ def test_a_range_that_touches_nothing_is_said(options: dict, said: str, twenty: 
 def test_outside_is_an_index_error(index: int, twenty: Dataset) -> None:
     with pytest.raises(IndexError):
         select(twenty, frames="5:10").load(index)
+
+
+def test_played_backwards_the_last_image_comes_first_and_time_goes_on(twenty: Dataset) -> None:
+    backwards = select(twenty, frames="4:16", drop=["6:9"], reverse=True)
+    originals = [15, 14, 13, 12, 11, 10, 9, 5, 4]
+    assert len(backwards) == len(originals)
+    for place, number in enumerate(originals):
+        image, forwards = backwards.load(place), twenty.load(number)
+        assert np.array_equal(image.rgb, forwards.rgb)
+        assert np.array_equal(image.depth_m, forwards.depth_m)
+        assert image.index == 19 - number == original_numbers(backwards)[place]
+        assert image.timestamp_s == backwards.timestamps_s[place]
+    steps_s = np.diff(backwards.timestamps_s)
+    np.testing.assert_allclose(steps_s, -np.diff(twenty.timestamps_s[originals]), atol=1e-6, rtol=0)
+    ends_s = twenty.timestamps_s[[4, 15]]
+    np.testing.assert_allclose(backwards.timestamps_s[[0, -1]], ends_s, rtol=0, atol=1e-6)
+
+
+def test_played_backwards_each_image_keeps_its_true_pose(twenty: Dataset) -> None:
+    def true_poses(dataset: Dataset, places: list[int]) -> np.ndarray:
+        truth = dataset.groundtruth
+        assert truth is not None
+        assert np.all(np.diff(truth.timestamps_s) > 0)
+        nearest = [int(np.argmin(np.abs(truth.timestamps_s - dataset.timestamps_s[place]))) for place in places]
+        return truth.T_world_cam[nearest]
+
+    backwards = select(twenty, frames="3:", reverse=True)
+    assert np.array_equal(true_poses(backwards, list(range(17))), true_poses(twenty, list(range(19, 2, -1))))
+
+
+def test_twice_backwards_is_forwards(twenty: Dataset) -> None:
+    again = select(select(twenty, reverse=True), reverse=True)
+    assert [again.load(i).index for i in range(20)] == list(range(20))
+    np.testing.assert_allclose(again.timestamps_s, twenty.timestamps_s, atol=1e-6, rtol=0)
+
+
+def test_ranges_of_what_is_played_backwards_count_from_the_end(twenty: Dataset) -> None:
+    chosen = select(select(twenty, reverse=True), frames=":3")
+    deepest = [float(chosen.load(i).depth_m[0, 0]) for i in range(3)]
+    assert deepest == pytest.approx([1.5 + 0.1 * number for number in (19, 18, 17)])
+
+
+@pytest.mark.parametrize("index", [-1, 20])
+def test_outside_of_what_is_played_backwards_is_an_index_error(index: int, twenty: Dataset) -> None:
+    with pytest.raises(IndexError):
+        select(twenty, reverse=True).load(index)

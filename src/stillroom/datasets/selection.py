@@ -1,4 +1,4 @@
-"""A part of a sequence, or a sequence with frames taken away or blacked out: what `run --frames` and the like mean."""
+"""A part of a sequence, or one with frames taken away, blacked out or played backwards: `run --frames` and the like."""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -88,8 +88,86 @@ class Selected:
         return replace(image, rgb=np.zeros_like(image.rgb), depth_m=np.zeros_like(image.depth_m), truth=black_truth)
 
 
+class Reversed:
+    """A `Dataset` that plays another backwards: times and ground truth are mirrored, so that time goes on as it must.
+
+    Numbers of images, which must increase, count from the end of the original: its last image is number 0.
+    """
+
+    def __init__(self, inner: Dataset) -> None:
+        """Play `inner` from its last image to its first."""
+        self._inner = inner
+        times_s: F64 = np.asarray(inner.timestamps_s, dtype=np.float64)
+        self._mirror_s = float(times_s[0] + times_s[-1])
+        self._timestamps_s: F64 = self._mirror_s - times_s[::-1]
+
+    @property
+    def name(self) -> str:
+        """Name of the original."""
+        return self._inner.name
+
+    @property
+    def camera(self) -> Camera:
+        """The calibration in force."""
+        return self._inner.camera
+
+    @property
+    def camera_source(self) -> str:
+        """Where the calibration comes from."""
+        return self._inner.camera_source
+
+    @property
+    def timestamps_s(self) -> F64:
+        """Times (N,) float64 [s], mirrored between the first and the last."""
+        return self._timestamps_s
+
+    @property
+    def groundtruth(self) -> Trajectory | None:
+        """True poses at mirrored times."""
+        forward = self._inner.groundtruth
+        if forward is None:
+            return None
+        return Trajectory(self._mirror_s - forward.timestamps_s[::-1], forward.T_world_cam[::-1])
+
+    @property
+    def groundtruth_body(self) -> str:
+        """Whose poses the ground truth gives: "camera" or "marker"."""
+        return str(getattr(self._inner, "groundtruth_body", "camera"))
+
+    @property
+    def numbers(self) -> I64:
+        """Numbers (N,) of the images, counted from the end of the original."""
+        return self.original_length - 1 - original_numbers(self._inner)[::-1]
+
+    @property
+    def original_length(self) -> int:
+        """Number of images of the original sequence."""
+        return _original_length(self._inner)
+
+    def __len__(self) -> int:
+        """Number of images."""
+        return len(self._inner)
+
+    def load(self, index: int) -> RgbdImage:
+        """Return the image at place `index` from the end, with the number and the time that it has here.
+
+        Raises:
+            IndexError: There is no such image.
+            FrameError: It cannot be used.
+        """
+        if not 0 <= index < len(self):
+            raise IndexError(f"{self.name}: no image {index} in the sequence; there are {len(self)}, from 0")
+        image = self._inner.load(len(self) - 1 - index)
+        number = self.original_length - 1 - image.index
+        return replace(image, index=number, timestamp_s=float(self._timestamps_s[index]))
+
+
 def select(
-    dataset: Dataset, frames: str | None = None, drop: Iterable[str] = (), blackout: Iterable[str] = ()
+    dataset: Dataset,
+    frames: str | None = None,
+    drop: Iterable[str] = (),
+    blackout: Iterable[str] = (),
+    reverse: bool = False,
 ) -> Dataset:
     """Apply the options of a run to a sequence. Each range is `a:b` as Python slices, in original numbers.
 
@@ -98,13 +176,14 @@ def select(
         frames: The images to keep; all where not given.
         drop: Images that do not exist for this run.
         blackout: Images that arrive black, without depth.
+        reverse: Whether what is left is played backwards; see `Reversed`.
 
     Raises:
         ConfigError: A range is malformed, or touches no image that is left at its turn; or nothing is left at all.
     """
     drop, blackout = tuple(drop), tuple(blackout)
     if frames is None and not drop and not blackout:
-        return dataset
+        return Reversed(dataset) if reverse else dataset
     numbers, length = original_numbers(dataset), _original_length(dataset)
     kept = np.ones(len(numbers), dtype=np.bool_)
     if frames is not None:
@@ -115,7 +194,8 @@ def select(
         raise ConfigError(f"drop {', '.join(drop)}: leaves no image of '{dataset.name}'; drop fewer")
     black = [_touched("blackout", text, numbers, kept, length) for text in blackout]
     dark = np.any(black, axis=0) if black else np.zeros(len(numbers), dtype=np.bool_)
-    return Selected(dataset, np.flatnonzero(kept), numbers[dark].tolist())
+    selected = Selected(dataset, np.flatnonzero(kept), numbers[dark].tolist())
+    return Reversed(selected) if reverse else selected
 
 
 def parse_range(text: str) -> slice:
@@ -139,13 +219,13 @@ def parse_range(text: str) -> slice:
 
 def original_numbers(dataset: Dataset) -> I64:
     """Return the numbers (N,) that a sequence's images have in its original."""
-    if isinstance(dataset, Selected):
+    if isinstance(dataset, Selected | Reversed):
         return dataset.numbers
     return np.arange(len(dataset), dtype=np.int64)
 
 
 def _original_length(dataset: Dataset) -> int:
-    return dataset.original_length if isinstance(dataset, Selected) else len(dataset)
+    return dataset.original_length if isinstance(dataset, Selected | Reversed) else len(dataset)
 
 
 def _touched(option: str, text: str, numbers: I64, kept: Bool, length: int) -> Bool:

@@ -24,6 +24,7 @@ class Source:
         frames: Images to keep; all where not given.
         drop: Images that do not exist for this run.
         blackout: Images that arrive black, without depth.
+        reverse: Whether what is left is played backwards.
     """
 
     sequence: str
@@ -32,6 +33,7 @@ class Source:
     frames: str | None = None
     drop: tuple[str, ...] = ()
     blackout: tuple[str, ...] = ()
+    reverse: bool = False
 
     def open(self) -> Dataset:
         """Open it.
@@ -40,7 +42,8 @@ class Source:
             DatasetError, CalibrationError, TrajectoryError, ConfigError: It cannot be opened; see `open_dataset`
                 and `select`.
         """
-        return select(open_dataset(self.sequence, self.camera, self.fps), self.frames, self.drop, self.blackout)
+        whole = open_dataset(self.sequence, self.camera, self.fps)
+        return select(whole, self.frames, self.drop, self.blackout, self.reverse)
 
 
 @dataclass(frozen=True)

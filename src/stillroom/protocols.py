@@ -7,6 +7,7 @@ socket               question it answers                                        
 `Segmenter`          what may move in this image?                                 `semantics`
 `Clusterer`          what does the depth cloud of this image fall into?           `semantics`
 `KeypointSieve`      which keypoints may tracking use? (sieve 1)                  `dynamics`
+`QuickTracking`      where is the camera, roughly, before tracking proper?        `tracking`
 `MatchSieve`         which matches, and which of the image, do move? (sieve 2)    `dynamics`
 `DenseMapping`       what does the room look like without what moves? (sieve 3)   `dense`
 `FeatureExtractor`   where are the corners, and what do they look like?           `features`
@@ -137,6 +138,21 @@ class MatchSieve(Protocol):
             matches: Its pairs with map points at this stage.
             semantics: What may move; await it only if needed.
             T_cam_world: The best guess of the present pose (4, 4) at this stage.
+            world: The map.
+        """
+
+
+class QuickTracking(Protocol):
+    """Finds a pose before tracking proper, and asks sieve 2 under it (`Stage.LOW_COST`)."""
+
+    def localize(self, frame: Frame, last: Tracked, T_cam_world: F64, semantics: Pending[Semantics], world: Map) -> F64:
+        """Return a pose (4, 4) for tracking to start from.
+
+        Args:
+            frame: The present frame, after sieve 1.
+            last: The last frame, its pose and points as known now.
+            T_cam_world: The motion model's guess (4, 4).
+            semantics: What may move.
             world: The map.
         """
 

@@ -172,7 +172,7 @@ def build(
     segmenter = segmenter or config.semantics.build()
     world = world or Map(config.features.scales)
     sieve = timed_part(config.dynamics.build(config.seed), clock, judge="dynamics")
-    tracker = config.tracking.build(sieve)
+    tracker = config.tracking.build(sieve, config.low_cost.build(sieve))
     recovery = config.recovery.build(tracker, config.seed)
     return Slam(
         schedule=schedule or InOrder(),

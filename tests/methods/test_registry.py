@@ -1,17 +1,23 @@
 """Methods by name, and the config that a user asks for."""
 
+import tomllib
 from dataclasses import replace
 from importlib.metadata import EntryPoint, EntryPoints
 from pathlib import Path
 
 import pytest
 
-from stillroom.config import SlamConfig, to_toml
+from stillroom.config import SlamConfig, to_toml, updated
+from stillroom.config.kinds import DYNAMICS, ChainConfig
 from stillroom.dense.dense_mapper import DenseMapperConfig
 from stillroom.dense.nothing import NoDenseMapConfig
 from stillroom.dynamics.clusters.sieve import ClusterSieveConfig
-from stillroom.dynamics.keep_all import KeepAllConfig
+from stillroom.dynamics.homography.sieve import CompensatedHomographyConfig
+from stillroom.dynamics.keep_all import KeepAllConfig, KeepAllKeypointsConfig
+from stillroom.dynamics.masked_keypoints import MaskedKeypointsConfig
+from stillroom.dynamics.multiview.sieve import MultiViewConfig
 from stillroom.dynamics.paper_epipolar import PaperEpipolarConfig
+from stillroom.dynamics.segments.sieve import MovedSegmentsConfig
 from stillroom.errors import ConfigError
 from stillroom.methods import registry
 from stillroom.methods.method import Method
@@ -19,6 +25,7 @@ from stillroom.methods.registry import all_methods, configure, method
 from stillroom.semantics.depth_clusters import DepthClustersConfig, NoClustersConfig
 from stillroom.semantics.nothing import NothingConfig
 from stillroom.semantics.yolo_fastest import YoloFastestConfig
+from stillroom.tracking.low_cost import LowCostConfig, NoLowCostConfig
 
 GUEST = Method("guest", "from another package", SlamConfig(method="guest", seed=9))
 NO_METHOD = 3
@@ -44,6 +51,53 @@ def test_the_presets_are_rows_of_the_table() -> None:
     assert replace(oc_slam, method="orb-slam2", **rest) == orb_slam2
 
 
+def rest_of(config: SlamConfig, *own: str) -> SlamConfig:
+    """Return a config with what is a preset's own replaced by ORB-SLAM2's."""
+    plain = SlamConfig()
+    return replace(config, method=plain.method, **{part: getattr(plain, part) for part in own})
+
+
+MASKED = ("semantics", "keypoints", "low_cost", "dynamics", "dense")
+
+
+def test_pspnet_slam_is_masks_a_homography_and_segments_that_move() -> None:
+    config = method("pspnet-slam").config
+    assert isinstance(config.keypoints, MaskedKeypointsConfig)
+    assert config.low_cost == LowCostConfig()
+    assert config.dynamics == ChainConfig(CompensatedHomographyConfig(), MovedSegmentsConfig())
+    assert config.clusters == DepthClustersConfig(leave_out_masked=True)
+    assert config.dense == DenseMapperConfig()
+    assert rest_of(config, *MASKED, "clusters") == SlamConfig()
+
+
+def test_dynaslam_is_masks_and_multi_view_geometry_and_each_alone() -> None:
+    both, network, geometry = (method(name).config for name in ("dynaslam", "dynaslam-n", "dynaslam-g"))
+    assert (both.dynamics, both.low_cost) == (MultiViewConfig(), LowCostConfig())
+    assert both.semantics.regions.dilate_px == 15  # type: ignore[attr-defined] # REFERENCE 2.1
+    assert (network.semantics, network.keypoints) == (both.semantics, both.keypoints)
+    assert (network.dynamics, network.low_cost) == (MultiViewConfig(geometry=False), NoLowCostConfig())
+    assert (geometry.semantics, geometry.keypoints) == (NothingConfig(), KeepAllKeypointsConfig())
+    assert (geometry.dynamics, geometry.low_cost) == (MultiViewConfig(network=False), LowCostConfig())
+    for config in (both, network, geometry):
+        assert rest_of(config, *MASKED) == SlamConfig()
+
+
+@pytest.mark.parametrize("kind", ["multiview-paper", "multiview-code"])
+def test_the_numbers_of_dynaslams_paper_and_code_can_be_chosen(kind: str) -> None:
+    config = configure("dynaslam", None, [f"dynamics.kind={kind}"])
+    assert type(config.dynamics) is DYNAMICS.classes[kind]
+    assert replace(config, dynamics=MultiViewConfig()) == method("dynaslam").config
+
+
+def test_the_sieves_of_a_chain_are_sockets_of_their_own() -> None:
+    config = configure("pspnet-slam", None, ["dynamics.second.kind=keep-all", "dynamics.first.search=exhaustive"])
+    assert config.dynamics == ChainConfig(CompensatedHomographyConfig(search="exhaustive"), KeepAllConfig())
+    again = updated(SlamConfig(), tomllib.loads(to_toml(config)))
+    assert again == config
+    with pytest.raises(ConfigError, match=r"dynamics.second.kind is 'chains'.*did you mean"):
+        configure("pspnet-slam", None, ["dynamics.second.kind=chains"])
+
+
 def test_a_preset_is_a_short_file() -> None:
     for file in (Path(registry.__file__).parent).glob("*.py"):
         if file.stem not in {"registry", "method", "__init__"}:
@@ -52,7 +106,7 @@ def test_a_preset_is_a_short_file() -> None:
 
 def test_an_installed_package_adds_a_method(monkeypatch: pytest.MonkeyPatch) -> None:
     install(monkeypatch, "GUEST")
-    assert list(all_methods()) == ["orb-slam2", "oc-slam", "guest"]
+    assert list(all_methods()) == [*(own.name for own in registry.OWN), "guest"]
     assert configure("guest").seed == 9
 
 

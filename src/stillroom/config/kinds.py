@@ -6,13 +6,14 @@ A part of your own needs no entry here: `kind = "my_package.my_module:MyConfig"`
 import dataclasses
 import importlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from difflib import get_close_matches
 from typing import Any, Protocol
 
 from stillroom.data.map import Map
 from stillroom.dense.dense_mapper import DenseMapperConfig
 from stillroom.dense.nothing import NoDenseMapConfig
+from stillroom.dynamics.chain import Chain
 from stillroom.dynamics.clusters.sieve import ClusterSieveConfig
 from stillroom.dynamics.epipolar import EpipolarConfig
 from stillroom.dynamics.homography.sieve import CompensatedHomographyConfig
@@ -21,16 +22,18 @@ from stillroom.dynamics.masked_keypoints import MaskedKeypointsConfig
 from stillroom.dynamics.multiview.presets import CodeMultiViewConfig, PaperMultiViewConfig
 from stillroom.dynamics.multiview.sieve import MultiViewConfig
 from stillroom.dynamics.paper_epipolar import PaperEpipolarConfig
+from stillroom.dynamics.segments.sieve import MovedSegmentsConfig
 from stillroom.dynamics.whole_boxes import WholeBoxesConfig
 from stillroom.errors import ConfigError
 from stillroom.geometry.camera import Camera
-from stillroom.protocols import Clusterer, DenseMapping, KeypointSieve, MatchSieve, Segmenter
+from stillroom.protocols import Clusterer, DenseMapping, KeypointSieve, MatchSieve, QuickTracking, Segmenter
 from stillroom.semantics.depth_clusters import DepthClustersConfig, NoClustersConfig
 from stillroom.semantics.mask_files import MaskFilesConfig
 from stillroom.semantics.masks.onnx_masks import OnnxMasksConfig
 from stillroom.semantics.nothing import NothingConfig
 from stillroom.semantics.truth import TruthConfig
 from stillroom.semantics.yolo_fastest import YoloFastestConfig
+from stillroom.tracking.low_cost import LowCostConfig, NoLowCostConfig
 
 KIND = "kind"
 """The key of a section that chooses the part."""
@@ -69,6 +72,13 @@ class MatchSieveConfig(Protocol):
 
     def build(self, seed: int) -> MatchSieve:
         """Return the sieve; all that it draws by lot comes from the seed."""
+
+
+class QuickTrackingConfig(Protocol):
+    """The config of a part that finds a quick pose before tracking proper; a frozen dataclass."""
+
+    def build(self, sieve: MatchSieve) -> QuickTracking:
+        """Return the part; it asks the sieve under the pose that it finds."""
 
 
 @dataclass(frozen=True)
@@ -132,19 +142,45 @@ CLUSTERS = Kinds("clusters", {"nothing": NoClustersConfig, "depth": DepthCluster
 
 KEYPOINTS = Kinds("keypoints", {"keep-all": KeepAllKeypointsConfig, "masked": MaskedKeypointsConfig})
 
+LOW_COST = Kinds("low_cost", {"nothing": NoLowCostConfig, "projection": LowCostConfig})
+
 DENSE = Kinds("dense", {"nothing": NoDenseMapConfig, "voxels": DenseMapperConfig})
 
-DYNAMICS = Kinds(
-    "dynamics",
-    {
-        "keep-all": KeepAllConfig,
-        "whole-boxes": WholeBoxesConfig,
-        "paper-epipolar": PaperEpipolarConfig,
-        "epipolar": EpipolarConfig,
-        "clusters": ClusterSieveConfig,
-        "multiview": MultiViewConfig,
-        "multiview-paper": PaperMultiViewConfig,
-        "multiview-code": CodeMultiViewConfig,
-        "compensated-homography": CompensatedHomographyConfig,
-    },
-)
+SINGLE_SIEVES: Mapping[str, type[Any]] = {
+    "keep-all": KeepAllConfig,
+    "whole-boxes": WholeBoxesConfig,
+    "paper-epipolar": PaperEpipolarConfig,
+    "epipolar": EpipolarConfig,
+    "clusters": ClusterSieveConfig,
+    "multiview": MultiViewConfig,
+    "multiview-paper": PaperMultiViewConfig,
+    "multiview-code": CodeMultiViewConfig,
+    "compensated-homography": CompensatedHomographyConfig,
+    "moved-segments": MovedSegmentsConfig,
+}
+
+
+@dataclass(frozen=True)
+class ChainConfig:
+    """Two sieves in one socket: what either of them finds to move, moves.
+
+    Attributes:
+        first: The one that is trusted more; `kind` chooses the part.
+        second: The other one; with `kind = "keep-all"` it adds nothing.
+        min_matches: The second goes unheard where with it fewer matches than this would stay.
+    """
+
+    first: MatchSieveConfig = field(
+        default_factory=CompensatedHomographyConfig, metadata={"kinds": Kinds("dynamics.first", SINGLE_SIEVES)}
+    )
+    second: MatchSieveConfig = field(
+        default_factory=MovedSegmentsConfig, metadata={"kinds": Kinds("dynamics.second", SINGLE_SIEVES)}
+    )
+    min_matches: int = 20
+
+    def build(self, seed: int = 0) -> MatchSieve:
+        """Return the chain."""
+        return Chain([self.first.build(seed), self.second.build(seed)], self.min_matches)
+
+
+DYNAMICS = Kinds("dynamics", {**SINGLE_SIEVES, "chain": ChainConfig})

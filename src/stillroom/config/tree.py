@@ -10,11 +10,13 @@ from stillroom.config.kinds import (
     DENSE,
     DYNAMICS,
     KEYPOINTS,
+    LOW_COST,
     SEMANTICS,
     ClustererConfig,
     DenseMappingConfig,
     KeypointSieveConfig,
     MatchSieveConfig,
+    QuickTrackingConfig,
     SegmenterConfig,
 )
 from stillroom.dense.nothing import NoDenseMapConfig
@@ -25,6 +27,7 @@ from stillroom.semantics.depth_clusters import NoClustersConfig
 from stillroom.semantics.nothing import NothingConfig
 from stillroom.storage.keeper import MapKeeperConfig
 from stillroom.tracking.keyframe_policy import KeyframePolicyConfig
+from stillroom.tracking.low_cost import NoLowCostConfig
 from stillroom.tracking.relocalizer import RelocalizerConfig
 from stillroom.tracking.tracker import TrackerConfig
 
@@ -40,6 +43,7 @@ class SlamConfig:
         clusters: What the depth cloud of an image falls into; `kind` chooses the part.
         keypoints: Which keypoints tracking may use (sieve 1); `kind` chooses the part.
         dynamics: What does move (sieve 2); `kind` chooses the part.
+        low_cost: A quick pose before tracking proper, for geometry to start from; `kind` chooses the part.
         features: Keypoints.
         tracking, recovery, keyframes, mapping: ORB-SLAM2's parts.
         dense: The dense map (sieve 3); `kind` chooses the part.
@@ -52,6 +56,7 @@ class SlamConfig:
     clusters: ClustererConfig = field(default_factory=NoClustersConfig, metadata={"kinds": CLUSTERS})
     keypoints: KeypointSieveConfig = field(default_factory=KeepAllKeypointsConfig, metadata={"kinds": KEYPOINTS})
     dynamics: MatchSieveConfig = field(default_factory=KeepAllConfig, metadata={"kinds": DYNAMICS})
+    low_cost: QuickTrackingConfig = field(default_factory=NoLowCostConfig, metadata={"kinds": LOW_COST})
     features: OrbConfig = field(default_factory=OrbConfig)
     tracking: TrackerConfig = field(default_factory=TrackerConfig)
     recovery: RelocalizerConfig = field(default_factory=RelocalizerConfig)

@@ -1,5 +1,6 @@
 """What may move in an image: boxes with classes, and masks."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -50,6 +51,8 @@ class Semantics:
         boxes: Objects of movable classes.
         mask: Pixels of movable things (H, W), where a segmenter gave a mask; None where there are only boxes.
         clusters: What the depth cloud falls into, where somebody looked; they may move whatever their class is.
+        named: Objects of classes that stand still unless somebody moves them, such as chairs; no reason to think that
+            they move.
     """
 
     height: int
@@ -57,6 +60,7 @@ class Semantics:
     boxes: tuple[Box, ...] = ()
     mask: Bool | None = field(default=None, repr=False)
     clusters: Clusters | None = field(default=None, repr=False)
+    named: tuple[Box, ...] = ()
 
     @property
     def has_any(self) -> bool:
@@ -86,7 +90,12 @@ class Semantics:
     @cached_property
     def boxes_xyxy_px(self) -> F32:
         """Edges of the boxes (B, 4) [px]."""
-        return np.array([box.xyxy_px for box in self.boxes], dtype=np.float32).reshape(-1, 4)
+        return boxes_xyxy_px(self.boxes)
+
+
+def boxes_xyxy_px(boxes: Sequence[Box]) -> F32:
+    """Return the edges of boxes (B, 4) [px]."""
+    return np.array([box.xyxy_px for box in boxes], dtype=np.float32).reshape(-1, 4)
 
 
 def nothing(height: int, width: int) -> Semantics:

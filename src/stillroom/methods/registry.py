@@ -14,13 +14,20 @@ from pathlib import Path
 
 from stillroom.config import SlamConfig, read_toml, updated, with_overrides
 from stillroom.errors import ConfigError
-from stillroom.methods import oc_slam, orb_slam2
+from stillroom.methods import dynaslam, dynaslam_g, dynaslam_n, oc_slam, orb_slam2, pspnet_slam
 from stillroom.methods.method import Method
 
 __all__ = ["DEFAULT", "OWN", "Method", "all_methods", "configure", "method"]
 
 GROUP = "stillroom.methods"
-OWN = (orb_slam2.METHOD, oc_slam.METHOD)
+OWN = (
+    orb_slam2.METHOD,
+    oc_slam.METHOD,
+    pspnet_slam.METHOD,
+    dynaslam.METHOD,
+    dynaslam_n.METHOD,
+    dynaslam_g.METHOD,
+)
 DEFAULT = oc_slam.METHOD.name
 
 

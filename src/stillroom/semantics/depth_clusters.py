@@ -10,7 +10,7 @@ import numpy as np
 
 from stillroom.data.cloud.clusters import PLANE, UNKNOWN, Clusters
 from stillroom.data.image import RgbdImage
-from stillroom.data.semantics import Semantics
+from stillroom.data.semantics import Semantics, boxes_xyxy_px
 from stillroom.errors import ConfigError
 from stillroom.geometry.arrays import F32
 from stillroom.geometry.camera import Camera
@@ -48,6 +48,8 @@ class DepthClustersConfig:
         min_depth_m, max_depth_m: Range of depths that are looked at [m].
         box_half_depth_m: Half the depth that a thing in a box takes up [m].
         box_min_share: A box helps only where its foreground fills this share of it.
+        leave_out_masked: What a mask covers belongs to no cluster, where there is a mask: what is carried does not fuse
+            with who carries it. The boxes that help are then those of named things; those of the mask's are not needed.
         planes: What counts as a plane.
         segments: How the rest becomes clusters.
     """
@@ -57,6 +59,7 @@ class DepthClustersConfig:
     max_depth_m: float = 6.0
     box_half_depth_m: float = 0.40
     box_min_share: float = 0.10
+    leave_out_masked: bool = False
     planes: PlaneLimits = field(default_factory=PlaneLimits)
     segments: SegmentLimits = field(default_factory=SegmentLimits)
 
@@ -101,16 +104,21 @@ class DepthClusterer:
         planes = find_planes(points_m, grid.ray_area, config.planes)
         free = (points_m[..., 2] > 0) & (planes.plane_of < 0)
         known = semantics.result()
+        boxes_px = known.boxes_xyxy_px
+        if config.leave_out_masked:
+            boxes_px = boxes_xyxy_px(known.named)
+            if known.mask is not None:
+                free &= ~known.mask[np.ix_(grid.rows, grid.columns)]
         owner = claim_foregrounds(
             points_m[..., 2],
             free,
             grid.rows,
             grid.columns,
-            known.boxes_xyxy_px,
+            boxes_px,
             config.box_half_depth_m,
             config.box_min_share,
         )
-        found = segment(points_m, free, owner, known.boxes_xyxy_px, grid, config.segments)
+        found = segment(points_m, free, owner, boxes_px, grid, config.segments)
         return replace(known, clusters=self._noun(image, grid, points_m, planes, found))
 
     def _grid_for(self, height: int, width: int) -> RayGrid:

@@ -14,8 +14,9 @@ from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64, I32
 from stillroom.optimize import measurements
 from stillroom.optimize.pose import PoseOptimizerConfig
-from stillroom.protocols import MatchSieve, Pending
+from stillroom.protocols import MatchSieve, Pending, QuickTracking
 from stillroom.tracking import correspondences, local_map
+from stillroom.tracking.low_cost import NoLowCost
 from stillroom.tracking.motion_model import ConstantVelocity
 
 
@@ -45,9 +46,9 @@ class TrackerConfig:
     local_window: float = 5.0
     pose: PoseOptimizerConfig = field(default_factory=PoseOptimizerConfig)
 
-    def build(self, sieve: MatchSieve) -> "Tracker":
-        """Return a tracker that asks the sieve."""
-        return Tracker(self, sieve)
+    def build(self, sieve: MatchSieve, quick: QuickTracking | None = None) -> "Tracker":
+        """Return a tracker that asks the sieve, and starts from a quick pose where there is a part that finds one."""
+        return Tracker(self, sieve, quick or NoLowCost())
 
 
 @dataclass(frozen=True)
@@ -67,9 +68,9 @@ class _Fix:
 class Tracker:
     """Follows the camera from frame to frame. Asked in order, one frame after the other."""
 
-    def __init__(self, config: TrackerConfig, sieve: MatchSieve) -> None:
+    def __init__(self, config: TrackerConfig, sieve: MatchSieve, quick: QuickTracking) -> None:
         """Start without a past."""
-        self.config, self.sieve = config, sieve
+        self.config, self.sieve, self.quick = config, sieve, quick
         self._optimize = config.pose.build()
         self._velocity = ConstantVelocity()
         self._last: Tracked | None = None
@@ -88,8 +89,10 @@ class Tracker:
             return self._first_frame(frame, semantics, world)
         last = self._last_as_known_now(world)
         fix = None
-        if last is not None and self._velocity.is_known:
-            fix = self._with_motion_model(frame, last, semantics, world)
+        if last is not None and last.T_world_cam is not None and self._velocity.is_known:
+            guess = self._velocity.predict(last.T_world_cam)
+            guess = self.quick.localize(frame, last, guess, semantics, world)  # low-cost tracking, where there is any
+            fix = self._with_motion_model(frame, last, guess, semantics, world)
         if fix is None and last is not None:
             fix = self._with_reference_keyframe(frame, last, semantics, world)
         if fix is None or last is None:
@@ -139,9 +142,9 @@ class Tracker:
         T_world_last = world.keyframe_pose(self._last.reference_keyframe) @ self._T_reference_last
         return replace(self._last, T_world_cam=T_world_last, point_ids=world.current_ids(self._last.point_ids))
 
-    def _with_motion_model(self, frame: Frame, last: Tracked, semantics: Pending[Semantics], world: Map) -> _Fix | None:
-        assert last.T_world_cam is not None
-        guess = self._velocity.predict(last.T_world_cam)
+    def _with_motion_model(
+        self, frame: Frame, last: Tracked, guess: F64, semantics: Pending[Semantics], world: Map
+    ) -> _Fix | None:
         for widen in (1.0, 2.0):
             matches = correspondences.with_last_frame(frame, last, guess, world, widen * self.config.window_px)
             motion = self.sieve.judge(Stage.MOTION_MODEL, frame, matches, semantics, guess, world)

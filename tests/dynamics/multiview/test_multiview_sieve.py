@@ -164,11 +164,30 @@ def test_who_came_is_found_to_the_pixel() -> None:
     assert not (wrong & (edge == 0)).any()
 
 
-@pytest.mark.parametrize("stage", [Stage.LOW_COST, Stage.MOTION_MODEL, Stage.REFERENCE_KEYFRAME])
+@pytest.mark.parametrize("stage", [Stage.MOTION_MODEL, Stage.REFERENCE_KEYFRAME])
 def test_geometry_waits_for_a_pose(stage: Stage) -> None:
     motion, _ = asked(BY_GEOMETRY, stage=stage)
     assert motion.is_static.all()
     assert not motion.moving.any()
+
+
+@pytest.mark.parametrize("away_m", [0.0, 0.01, 0.3])
+def test_what_low_cost_tracking_found_holds_as_long_as_its_pose_does(away_m: float) -> None:
+    sieve, world, nothing = BY_GEOMETRY.build(seed=0), Map(SCALES), Matches.of(np.full(0, -1, np.int32))
+    empty, _ = WORLD.look(pose(), index=0)
+    empty = before_the_wall(empty, pose(), None, 1.5)
+    sieve.judge(Stage.LOCAL_MAP, empty, nothing, no_semantics(), np.eye(4), world)
+    world.add_keyframe(empty, np.eye(4), np.full(len(empty), -1, np.int32), empty.is_static, parent=-1)
+    frame, _ = WORLD.look(pose(), index=1)
+    frame = before_the_wall(frame, pose(), FIGURE, 1.5)
+    quick = sieve.judge(Stage.LOW_COST, frame, nothing, no_semantics(), np.eye(4), world)
+    assert quick.moving.any(), "geometry is asked there"
+    later = sieve.judge(Stage.MOTION_MODEL, frame, nothing, no_semantics(), pose(away_m), world)
+    assert later.moving.any() == (away_m < 0.05)
+    asked_anew, sieve.geometry.mask = [], lambda *question: asked_anew.append(question)  # type: ignore[method-assign]
+    final = sieve.judge(Stage.LOCAL_MAP, frame, nothing, no_semantics(), pose(away_m), world)
+    assert len(asked_anew) == (away_m > 0.05)
+    np.testing.assert_array_equal(final.moving, later.moving)
 
 
 def test_network_geometry_and_both() -> None:
@@ -182,7 +201,8 @@ def test_network_geometry_and_both() -> None:
     assert g.moving.any()
     assert not (g.moving & n.moving).any()
     wide, _ = asked(MultiViewConfig(), semantics)
-    np.testing.assert_array_equal(wide.moving, dilated(both.moving, MultiViewConfig().dilation_px))
+    # The segmenter has grown its own mask.
+    np.testing.assert_array_equal(wide.moving, n.moving | dilated(g.moving, MultiViewConfig().dilation_px))
 
 
 def test_geometrys_mask_stands_for_a_networks_of_the_same_thing() -> None:

@@ -35,9 +35,14 @@ class MovingPixels:
             belief: Their log-odds of moving (K,).
             in_boxes: Pixels in boxes (H, W).
         """
-        said = np.full(len(clusters) + 2, STAYS, dtype=np.uint8)  # labels −2 and −1 read the first two
-        said[2:][belief == 0] = MOVES_IN_BOX
-        said[2:][(belief > 0) | (clusters.box >= 0)] = MOVES
+        said = np.full(len(clusters), STAYS, dtype=np.uint8)
+        said[belief == 0] = MOVES_IN_BOX
+        said[(belief > 0) | (clusters.box >= 0)] = MOVES
+        return self.marked(clusters, said, in_boxes)
+
+    def marked(self, clusters: Clusters, said_of: U8, in_boxes: Bool) -> Bool:
+        """Return the pixels (H, W) of clusters of which that is said (K,); arguments and result otherwise as `of`."""
+        said = np.append(np.zeros(2, dtype=np.uint8), said_of)  # labels −2 and −1 read the first two
         last = self._last
         if last is not None and last[0] is clusters and np.array_equal(last[1], said):
             return last[2]

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 
 from stillroom.data.frame import Frame
+from stillroom.data.image import RgbdImage
 from stillroom.data.map import Map
 from stillroom.data.matches import Matches
 from stillroom.data.motion import Motion, Stage
@@ -14,11 +15,15 @@ from stillroom.data.semantics import Semantics
 from stillroom.dynamics.multiview.geometry import GeometryConfig
 from stillroom.dynamics.multiview.views import CHOICES
 from stillroom.errors import ConfigError
+from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64, U8, Bool
 from stillroom.protocols import Pending
 
 UNION, GEOMETRY_FIRST = "union", "geometry-first"
 COMBINATIONS = (UNION, GEOMETRY_FIRST)
+
+NEAR = 0.05, 0.02
+"""Metres and radians that a pose may move after low-cost tracking before geometry is asked again: less than it sees."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +38,8 @@ class MultiViewConfig:
         combination: "union" of both masks (DynaSLAM's code), or "geometry-first" (its paper): where both found the
             same thing, geometry's mask stands for it.
         overlap_share: For "geometry-first": both found the same when geometry covers this share of a network's mask.
-        dilation_px: How far the masks are grown in the end, as an ellipse; keypoints on their border go with them.
+        dilation_px: How far geometry's mask is grown, as an ellipse; keypoints on its border go with it. A network's
+            mask is grown where it is made (`semantics.regions.dilate_px`).
         min_matches: The sieve is off where fewer matches than this would stay.
         test: The geometry.
     """
@@ -62,6 +68,15 @@ class MultiViewConfig:
         return MultiViewSieve(self)
 
 
+@dataclass(frozen=True)
+class _Found:
+    """What geometry found in low-cost tracking: the image, its pose there (4, 4), and the mask (H, W)."""
+
+    image: RgbdImage
+    T_cam_world: F64
+    mask: Bool | None
+
+
 class MultiViewSieve:
     """Sieve 2 of `dynaslam`."""
 
@@ -69,6 +84,7 @@ class MultiViewSieve:
         """Start without a past."""
         self.config = config
         self.geometry = config.test.build()
+        self._quick: _Found | None = None
 
     def judge(
         self,
@@ -81,17 +97,15 @@ class MultiViewSieve:
     ) -> Motion:
         """Judge every keypoint by the mask that it lies in.
 
-        Geometry is asked at the local-map stage. The stages before are judged by the network alone: they give the
-        geometry its pose, as DynaSLAM's low-cost tracking does (III.B), and their matches are of points that were
-        found to be static in the last frame. Under a mere guess of the pose everything would seem to move.
+        Geometry is asked once an image, under the pose of low-cost tracking (DynaSLAM III.B); where there is none, at
+        the local-map stage, and the stages before are judged by the network alone: their matches are of points that
+        were found to be static in the last frame. Under a mere guess of the pose everything would seem to move.
         """
         nothing_moves = Motion.none(len(frame), frame.image.height, frame.image.width)
         if stage is Stage.RELOCALIZATION:
             return nothing_moves
         self.geometry.views.settle(world)
-        found = None
-        if self.config.geometry and stage is Stage.LOCAL_MAP:
-            found = self.geometry.mask(frame, T_cam_world, world)
+        found = self._mask(stage, frame, T_cam_world, world) if self.config.geometry else None
         moving = self._moving(found, semantics.result())
         column, row = np.rint(frame.keypoints.raw_px).astype(np.int64).T
         motion = Motion(~moving[row, column], moving)
@@ -100,16 +114,25 @@ class MultiViewSieve:
         stay = int(np.count_nonzero(motion.is_static[matches.keypoint]))
         return nothing_moves if stay < self.config.min_matches <= len(matches) else motion
 
+    def _mask(self, stage: Stage, frame: Frame, T_cam_world: F64, world: Map) -> Bool | None:
+        """Return geometry's mask (H, W): what low-cost tracking found, or this stage, where it may ask; else None."""
+        quick = self._quick
+        if stage is Stage.LOW_COST:
+            quick = self._quick = _Found(frame.image, T_cam_world.copy(), self.geometry.mask(frame, T_cam_world, world))
+        if quick is not None and quick.image is frame.image and se3.are_near(quick.T_cam_world, T_cam_world, *NEAR):
+            return quick.mask
+        return self.geometry.mask(frame, T_cam_world, world) if stage is Stage.LOCAL_MAP else None
+
     def _moving(self, found: Bool | None, known: Semantics) -> Bool:
-        """Return what moves (H, W) by both accounts, dilated; an array of its own."""
+        """Return what moves (H, W) by both accounts; an array of its own."""
         moving = np.zeros((known.height, known.width), dtype=np.bool_)
         if self.config.network and known.has_any:
             moving |= known.movable
         if found is not None:
             if self.config.combination == GEOMETRY_FIRST:
                 moving = without_found(moving, found, self.config.overlap_share)
-            moving |= found
-        return dilated(moving, self.config.dilation_px)
+            moving |= dilated(found, self.config.dilation_px)
+        return moving
 
 
 def without_found(network: Bool, found: Bool, share: float) -> Bool:

@@ -44,7 +44,7 @@ def carried(segments: Segments, earlier: HalfImage, now: HalfImage, config: Mask
         now: The next image, of the same size.
         config: How far depth may change between them.
     """
-    if not segments.has_any:
+    if not segments.has_any and segments.named is None:
         return segments
     flow_px = now.flow_to(earlier)
     rows, columns = np.indices(now.shape, dtype=np.float32)
@@ -54,4 +54,7 @@ def carried(segments: Segments, earlier: HalfImage, now: HalfImage, config: Mask
     before_m = cv2.remap(earlier.depth_m, x, y, cv2.INTER_NEAREST, borderValue=0)
     known = (before_m > 0) & (now.depth_m > 0)
     label[known & (np.abs(now.depth_m - before_m) > config.depth_step_m)] = 0
-    return Segments(np.asarray(label, dtype=np.uint8), np.asarray(likely, dtype=np.float32))
+    named = segments.named
+    if named is not None:
+        named = np.asarray(cv2.remap(named, x, y, cv2.INTER_NEAREST, borderValue=0), dtype=np.uint8)
+    return Segments(np.asarray(label, dtype=np.uint8), np.asarray(likely, dtype=np.float32), named)

@@ -33,6 +33,8 @@ class OnnxMasksConfig:
         model: The ONNX file; a bare name is sought in the models' usual places. Empty is DeepLabv3-MobileNetV2.
         classes: Names of the network's classes in the order of its channels.
         movable: Names of the classes that may move.
+        named: Names of the classes that stand still unless somebody moves them; they are told of as boxes, of what the
+            depth cloud may be taken apart by.
         probability: From here on a pixel is of a movable class; the movable classes' probabilities count together.
         every: The network sees every n-th image; to those between, masks are carried.
         latency_frames: How many images after the one that it saw the network's answer becomes known.
@@ -49,6 +51,7 @@ class OnnxMasksConfig:
     model: Path | None = None
     classes: tuple[str, ...] = VOC_CLASSES
     movable: tuple[str, ...] = ("person",)
+    named: tuple[str, ...] = ()
     probability: float = 0.5
     every: int = 1
     latency_frames: int = 0
@@ -71,7 +74,7 @@ class OnnxMasksConfig:
             WeightsError: The network's file is absent, or it is not a network of this kind.
         """
         self.check()
-        channels = channels_of(self.movable, self.classes)
+        channels = channels_of((*self.movable, *self.named), self.classes)
         network = SegmentationNetwork(find_model(self.model), channels, len(self.classes), self._reading())
         return OnnxMasks(network, self)
 
@@ -138,12 +141,18 @@ class OnnxMasks:
         """
         known, config = self._masks(image), self._config
         segments = without_specks(known.segments, config.regions.min_px)
-        return as_semantics(segments, config.movable, image.height, image.width, known.age, config.regions)
+        size = image.height, image.width
+        return as_semantics(segments, config.movable, *size, known.age, config.regions, config.named)
 
     def see(self, image: RgbdImage, view: HalfImage) -> Segments:
         """Return what the network alone says of one image, at half size."""
         rows, columns = view.shape
-        likely = self._network.probabilities(image.rgb, columns, rows)
+        every, least = self._network.probabilities(image.rgb, columns, rows), self._config.probability
+        n_movable = len(self._config.movable)
+        likely, others = every[:n_movable], every[n_movable:]
         together = np.minimum(likely.sum(axis=0), 1.0)
-        label = np.where(together >= self._config.probability, 1 + likely.argmax(axis=0), 0)
-        return Segments(label.astype(np.uint8), together)
+        label = np.where(together >= least, 1 + likely.argmax(axis=0), 0).astype(np.uint8)
+        if len(others) == 0:
+            return Segments(label, together)
+        named = np.where((label == 0) & (others.max(axis=0) >= least), 1 + others.argmax(axis=0), 0).astype(np.uint8)
+        return Segments(label, np.where(named > 0, others.max(axis=0), together), named)

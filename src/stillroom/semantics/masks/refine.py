@@ -1,6 +1,6 @@
 """Mend the border of a mask by depth: a network sees people, a depth camera sees where they end."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -87,7 +87,7 @@ def _changed(segments: Segments, around: tuple[slice, slice], goes: Bool, comes:
     part[comes] = grown[comes]
     likely[comes] = np.maximum(likely[comes], 0.5)
     likely[goes] = np.minimum(likely[goes], 0.49)
-    return Segments(label, probability)
+    return replace(segments, label=label, probability=probability)
 
 
 def _mean_depth(depth_m: F32, where: Bool, window_px: int) -> tuple[F32, Bool]:

@@ -1,6 +1,6 @@
 """From segments to what tracking reads: a grown mask of the whole image, and a box around each region."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -42,11 +42,17 @@ def without_specks(segments: Segments, min_px: int) -> Segments:
     _, region, statistics, _ = cv2.connectedComponentsWithStats(segments.mask.view(np.uint8), connectivity=8)
     counts = 4 * statistics[:, cv2.CC_STAT_AREA] >= min_px
     counts[0] = False
-    return Segments(np.where(counts[region], segments.label, 0).astype(np.uint8), segments.probability)
+    return replace(segments, label=np.where(counts[region], segments.label, 0).astype(np.uint8))
 
 
 def as_semantics(
-    segments: Segments, names: tuple[str, ...], height: int, width: int, age: int, config: RegionsConfig
+    segments: Segments,
+    names: tuple[str, ...],
+    height: int,
+    width: int,
+    age: int,
+    config: RegionsConfig,
+    still: tuple[str, ...] = (),
 ) -> Semantics:
     """Return segments as semantics of an image.
 
@@ -57,9 +63,14 @@ def as_semantics(
         width: Its columns.
         age: How many frames ago the network saw what the segments come from.
         config: What is told.
+        still: The classes that are named besides, and do not move by themselves.
     """
+    named: tuple[Box, ...] = ()
+    if segments.named is not None:
+        there = without_specks(Segments(segments.named, segments.probability), config.min_px)
+        named = _boxes(there, still, height, width, age)
     if not segments.has_any:
-        return nothing(height, width)
+        return replace(nothing(height, width), named=named)
     boxes = _boxes(segments, names, height, width, age) if config.boxes else ()
     soft = cv2.resize(segments.mask.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR)
     mask = np.asarray(soft) >= 0.5
@@ -67,7 +78,7 @@ def as_semantics(
         side = 2 * config.dilate_px + 1
         disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
         mask = np.asarray(cv2.dilate(mask.view(np.uint8), disc)) != 0
-    return Semantics(height, width, boxes, mask)
+    return Semantics(height, width, boxes, mask, named=named)
 
 
 def _boxes(segments: Segments, names: tuple[str, ...], height: int, width: int, age: int) -> tuple[Box, ...]:

@@ -57,11 +57,14 @@ class Segments:
 
     Attributes:
         label: 0 where nothing may move, i where the i-th of the movable classes is, counted from 1 (h, w) uint8.
-        probability: How likely it is of a movable class at all (h, w) float32.
+        probability: How likely it is of the class that it is given to, or of a movable one at all (h, w) float32.
+        named: Where nothing may move: i where the i-th of the classes is that are named besides, from 1 (h, w) uint8;
+            None where none are.
     """
 
     label: U8
     probability: F32
+    named: U8 | None = None
 
     @cached_property
     def mask(self) -> Bool:

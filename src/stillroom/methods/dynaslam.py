@@ -1,0 +1,35 @@
+"""DynaSLAM N+G: a network's masks, and multi-view geometry for what no class names.
+
+Differs from the paper: the masks are the PSPNet's of `pspnet-slam`, by class and not by instance. Mask R-CNN takes
+seconds an image on a CPU; any network in an ONNX file can be set instead (`semantics.kind = "onnx-masks"`). The
+geometry has numbers of our own; the paper's and its code's are `--set dynamics.kind=multiview-paper` and
+`multiview-code`. What moves is painted out by `stillroom inpaint --method dynaslam`.
+"""
+
+from stillroom.config import SlamConfig
+from stillroom.dense.dense_mapper import DenseMapperConfig
+from stillroom.dynamics.masked_keypoints import MaskedKeypointsConfig
+from stillroom.dynamics.multiview.sieve import MultiViewConfig
+from stillroom.methods.method import Method
+from stillroom.semantics.masks.onnx_masks import OnnxMasksConfig
+from stillroom.semantics.masks.regions import RegionsConfig
+from stillroom.tracking.low_cost import LowCostConfig
+
+DILATE_PX = 15
+"""How far DynaSLAM grows a mask (REFERENCE 2.1: an ellipse of 31 pixels)."""
+
+PAPER = "Bescos, Fácil, Civera and Neira, IEEE Robotics and Automation Letters 3(4), 2018"
+
+METHOD = Method(
+    name="dynaslam",
+    summary="a network's masks, and multi-view geometry with region growing for what has come since",
+    config=SlamConfig(
+        method="dynaslam",
+        semantics=OnnxMasksConfig(regions=RegionsConfig(dilate_px=DILATE_PX)),
+        keypoints=MaskedKeypointsConfig(),
+        low_cost=LowCostConfig(),
+        dynamics=MultiViewConfig(),
+        dense=DenseMapperConfig(),
+    ),
+    paper=PAPER,
+)

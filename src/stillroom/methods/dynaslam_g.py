@@ -1,0 +1,22 @@
+"""DynaSLAM G: multi-view geometry alone, without a network."""
+
+from dataclasses import replace
+
+from stillroom.dynamics.keep_all import KeepAllKeypointsConfig
+from stillroom.dynamics.multiview.sieve import MultiViewConfig
+from stillroom.methods import dynaslam
+from stillroom.methods.method import Method
+from stillroom.semantics.nothing import NothingConfig
+
+METHOD = Method(
+    name="dynaslam-g",
+    summary="DynaSLAM's multi-view geometry alone",
+    config=replace(
+        dynaslam.METHOD.config,
+        method="dynaslam-g",
+        semantics=NothingConfig(),
+        keypoints=KeepAllKeypointsConfig(),
+        dynamics=MultiViewConfig(network=False),
+    ),
+    paper=dynaslam.PAPER,
+)

@@ -1,0 +1,20 @@
+"""DynaSLAM N: the network alone; what it masks moves, all else does not."""
+
+from dataclasses import replace
+
+from stillroom.dynamics.multiview.sieve import MultiViewConfig
+from stillroom.methods import dynaslam
+from stillroom.methods.method import Method
+from stillroom.tracking.low_cost import NoLowCostConfig
+
+METHOD = Method(
+    name="dynaslam-n",
+    summary="DynaSLAM's network alone",
+    config=replace(
+        dynaslam.METHOD.config,
+        method="dynaslam-n",
+        low_cost=NoLowCostConfig(),
+        dynamics=MultiViewConfig(geometry=False),
+    ),
+    paper=dynaslam.PAPER,
+)

@@ -1,0 +1,33 @@
+"""PSPNet-SLAM: a network's masks, an optimally compensated homography, and the reverse ant colony's search.
+
+Differs from the paper: a homography alone cannot explain a room with depth, so the camera's motion in space, which
+depth gives, may explain a point as well (`dynamics/homography/sieve.py`). The paper's literal rule is
+`--set dynamics.first.test.use_depth=false --set dynamics.first.earlier_s=0`. What is not movable by its class is
+dynamic when its segment moves against the scene; the paper says no more than that (`dynamics/segments/sieve.py`).
+"""
+
+from stillroom.config import SlamConfig
+from stillroom.config.kinds import ChainConfig
+from stillroom.dense.dense_mapper import DenseMapperConfig
+from stillroom.dynamics.homography.sieve import CompensatedHomographyConfig
+from stillroom.dynamics.masked_keypoints import MaskedKeypointsConfig
+from stillroom.dynamics.segments.sieve import MovedSegmentsConfig
+from stillroom.methods.method import Method
+from stillroom.semantics.depth_clusters import DepthClustersConfig
+from stillroom.semantics.masks.onnx_masks import OnnxMasksConfig
+from stillroom.tracking.low_cost import LowCostConfig
+
+METHOD = Method(
+    name="pspnet-slam",
+    summary="PSPNet's masks; what a compensated homography, along an ant path, does not explain; segments that move",
+    config=SlamConfig(
+        method="pspnet-slam",
+        semantics=OnnxMasksConfig(named=("chair", "tvmonitor", "bottle")),
+        clusters=DepthClustersConfig(leave_out_masked=True),
+        keypoints=MaskedKeypointsConfig(),
+        low_cost=LowCostConfig(),
+        dynamics=ChainConfig(CompensatedHomographyConfig(), MovedSegmentsConfig()),
+        dense=DenseMapperConfig(),
+    ),
+    paper="Long, Zhang and Zhao, IEEE Access 8, 2020",
+)

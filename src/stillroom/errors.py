@@ -10,6 +10,7 @@
     ├── TrajectoryError        a trajectory or ground truth that cannot be read or compared
     ├── MapError               a map that cannot be read, written, or turned into what was asked for
     ├── WeightsError           a network's weights that are absent or not what they claim to be
+    ├── VocabularyError        a vocabulary of places that is absent or not what it claims to be
     ├── DownloadError          a file that could not be fetched, or came with the wrong checksum
     └── MissingExtraError      an optional library that is not installed
 
@@ -47,6 +48,10 @@ class MapError(StillroomError):
 
 class WeightsError(StillroomError):
     """A network's weights are absent or not what they claim to be."""
+
+
+class VocabularyError(StillroomError):
+    """A vocabulary of places is absent or not what it claims to be."""
 
 
 class DownloadError(StillroomError):

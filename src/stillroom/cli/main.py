@@ -61,6 +61,11 @@ COMMANDS = (
     ),
     Command("bench", "stillroom.cli.bench:app", "Measure accuracy, the worth of rejection, speed, and ghosts."),
     Command("download", "stillroom.cli.download:download", "Fetch a data set or the weights of YOLO-Fastest."),
+    Command(
+        "train-vocabulary",
+        "stillroom.cli.train_vocabulary:train_vocabulary",
+        "Make a vocabulary of places from sequences.",
+    ),
     Command("warmup", "stillroom.cli.warmup:warmup", "Compile all kernels now, so that the first run starts at once."),
 )
 

@@ -79,7 +79,7 @@ def search_windows(queries: Queries, targets: Targets, max_bits: int = FAR_BITS,
         max_bits,
         ratio,
     )
-    return _one_to_one(target, bits, len(targets.px))
+    return one_to_one(target, bits, len(targets.px))
 
 
 @njit(nogil=True, cache=True)
@@ -145,7 +145,7 @@ def match_anywhere(first: U8, second: U8, max_bits: int = NEAR_BITS, ratio: floa
         Indices into `first` and `second` (K,) of the matches, one to one.
     """
     target, bits = _match_anywhere(words(first), words(second), max_bits, ratio)
-    return _one_to_one(target, bits, len(second))
+    return one_to_one(target, bits, len(second))
 
 
 @njit(nogil=True, cache=True)
@@ -195,7 +195,7 @@ def search_epipolar(
         scale_factors,
         np.asarray(epipole_px, dtype=np.float64),
     )
-    query, found = _one_to_one(target, bits, len(theirs))
+    query, found = one_to_one(target, bits, len(theirs))
     return mine[query].astype(np.int32), theirs[found].astype(np.int32)
 
 
@@ -240,7 +240,7 @@ def _search_epipolar(
     return found, found_bits
 
 
-def _one_to_one(target: I32, bits: I32, n_targets: int) -> tuple[I32, I32]:
+def one_to_one(target: I32, bits: I32, n_targets: int) -> tuple[I32, I32]:
     """Keep for each target the nearest query; `target` (Q,) is −1 where a query found nothing."""
     query = np.flatnonzero(target >= 0)
     by_distance = query[np.argsort(bits[query], kind="stable")]

@@ -1,0 +1,187 @@
+"""A tree of binary descriptors: which word is this keypoint, and what does an image say?"""
+
+import hashlib
+import zipfile
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+from numba import njit
+
+from stillroom.errors import VocabularyError
+from stillroom.geometry.arrays import F32, I32, U8, U64, Bool
+from stillroom.geometry.hamming import hamming, words
+
+FORMAT = 1
+SHIPPED = "default.vocabulary"
+
+
+@dataclass(frozen=True)
+class Bag:
+    """What an image says: its words, weighted by how often and how rare they are.
+
+    Attributes:
+        words: Ids of the words in it (W,) int32, ascending.
+        weights: Their weights (W,) float32; they sum to 1, or there are none.
+        nodes: Branch of the tree that each keypoint lies under (N,) int32, for matching two images branch by branch;
+            −1 for keypoints that were left out.
+    """
+
+    words: I32
+    weights: F32
+    nodes: I32 = field(repr=False)
+
+    def __len__(self) -> int:
+        """Number of different words."""
+        return len(self.words)
+
+
+@dataclass(frozen=True)
+class Vocabulary:
+    """A vocabulary tree over binary descriptors (Gálvez-López and Tardós 2012). Node 0 is the root.
+
+    Attributes:
+        centres: Descriptor that stands for each node (M, 32) uint8.
+        first_child: The children of a node are `n_children` neighbouring nodes from here on (M,) int32; 0 at leaves.
+        n_children: Their number (M,) int32; 0 at leaves.
+        word: Word of each leaf (M,) int32; −1 at inner nodes.
+        idf: Rarity of each word (W,) float32: log of all training images over those with the word in it.
+        direct_level: Depth of the branches that `Bag.nodes` names; the root lies at 0.
+    """
+
+    centres: U8
+    first_child: I32
+    n_children: I32
+    word: I32
+    idf: F32
+    direct_level: int = 2
+
+    @property
+    def n_words(self) -> int:
+        """Number of words."""
+        return len(self.idf)
+
+    @cached_property
+    def digest(self) -> str:
+        """Sixteen hexadecimal digits that name this very vocabulary, for files that refer to it."""
+        found = hashlib.sha256(str(self.direct_level).encode())
+        for part in (self.centres, self.first_child, self.n_children, self.word, self.idf):
+            found.update(np.ascontiguousarray(part).tobytes())
+        return found.hexdigest()[:16]
+
+    def quantise(self, descriptors: U8) -> tuple[I32, I32]:
+        """Return the word (N,) of each descriptor (N, 32), and the node (N,) on the direct index's level above it."""
+        leaf, nodes = descend(
+            words(descriptors), words(self.centres), self.first_child, self.n_children, self.direct_level
+        )
+        return self.word[leaf], nodes
+
+    def bag(self, descriptors: U8, usable: Bool | None = None) -> Bag:
+        """Return what the descriptors (N, 32) of an image say.
+
+        Args:
+            descriptors: Of all its keypoints.
+            usable: Which of them (N,) have a say; all where not given. Movable ones never should.
+        """
+        chosen = np.arange(len(descriptors)) if usable is None else np.flatnonzero(usable)
+        nodes = np.full(len(descriptors), -1, dtype=np.int32)
+        said, nodes[chosen] = self.quantise(descriptors[chosen])
+        found, times = np.unique(said, return_counts=True)
+        weights = times * self.idf[found]
+        found, weights = found[weights > 0], weights[weights > 0]
+        return Bag(found.astype(np.int32), (weights / max(weights.sum(), 1e-12)).astype(np.float32), nodes)
+
+    def save(self, path: Path) -> None:
+        """Write it as one compressed file; the same vocabulary always gives the same bytes.
+
+        Raises:
+            VocabularyError: It cannot be written.
+        """
+        parts = {
+            "format": np.array([FORMAT, self.direct_level]),
+            "centres": self.centres,
+            "n_children": self.n_children.astype(np.uint8),
+            "first_child": self.first_child,
+            "word": self.word,
+            "idf": self.idf,
+        }
+        try:
+            with path.open("wb") as file:
+                np.savez_compressed(file, **parts)  # type: ignore[arg-type] # numpy's stub takes the names for options
+        except OSError as error:
+            raise VocabularyError(f"{path}: cannot be written ({error.strerror})") from error
+
+
+@lru_cache(maxsize=4)
+def load_vocabulary(path: Path | None = None) -> Vocabulary:
+    """Read a vocabulary; the one that is shipped where no path is given. It is read once.
+
+    Raises:
+        VocabularyError: There is none, or not one that can be read.
+    """
+    place = Path(str(files("stillroom.features.places") / SHIPPED)) if path is None else path
+    try:
+        with np.load(place, allow_pickle=False) as parts:
+            version, direct_level = (int(number) for number in parts["format"])
+            if version > FORMAT:
+                raise VocabularyError(f"{place}: written by a newer version; update stillroom, or train another")
+            found = Vocabulary(
+                parts["centres"],
+                parts["first_child"],
+                parts["n_children"].astype(np.int32),
+                parts["word"],
+                parts["idf"],
+                direct_level,
+            )
+    except FileNotFoundError:
+        raise VocabularyError(
+            f"{place}: no such file; make one with `stillroom train-vocabulary SEQUENCE --out FILE`"
+        ) from None
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        raise VocabularyError(
+            f"{place}: not a vocabulary of stillroom ({error}); make one with `stillroom train-vocabulary`"
+        ) from error
+    _check(found, place)
+    return found
+
+
+def _check(found: Vocabulary, place: Path) -> None:
+    """Refuse a tree that the kernels would leave."""
+    n_nodes, inner = len(found.centres), found.n_children > 0
+    last = found.first_child[inner] + found.n_children[inner]
+    fits = n_nodes > 0 and found.centres.shape == (n_nodes, 32) and found.centres.dtype == np.uint8
+    fits &= all(len(part) == n_nodes for part in (found.first_child, found.n_children, found.word))
+    fits = fits and bool(np.all(last <= n_nodes) and np.all(found.first_child[inner] > np.flatnonzero(inner)))
+    leaf = found.word[~inner]
+    if not (fits and bool(np.all((leaf >= 0) & (leaf < found.n_words)))):
+        raise VocabularyError(f"{place}: damaged; its tree does not hold together; fetch or train it anew")
+
+
+@njit(nogil=True, cache=True)
+def descend(descriptors: U64, centres: U64, first_child: I32, n_children: I32, direct_level: int) -> tuple[I32, I32]:
+    """Follow each descriptor (N, 4) from the root to the nearest child, again and again; of equals to the first.
+
+    Returns:
+        The leaf (N,), and the node (N,) passed on `direct_level`, or the leaf where the tree ends above.
+    """
+    n = len(descriptors)
+    leaf = np.zeros(n, np.int32)
+    passed = np.zeros(n, np.int32)
+    for i in range(n):
+        node, level = 0, 0
+        while n_children[node] > 0:
+            best, nearest = 257, 0
+            for child in range(first_child[node], first_child[node] + n_children[node]):
+                bits = hamming(descriptors, i, centres, child)
+                if bits < best:
+                    best, nearest = bits, child
+            node = nearest
+            level += 1
+            if level == direct_level:
+                passed[i] = node
+        leaf[i] = node
+        if level < direct_level:
+            passed[i] = node
+    return leaf, passed

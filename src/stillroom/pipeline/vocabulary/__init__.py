@@ -1,0 +1,1 @@
+"""Making a vocabulary of places from sequences."""

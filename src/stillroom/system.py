@@ -12,6 +12,7 @@ from stillroom.data.semantics import Semantics
 from stillroom.data.trajectory import Trajectory
 from stillroom.evaluation.timed_parts import timed_part
 from stillroom.evaluation.timing import StageClock
+from stillroom.features.places.place_memory import PlaceMemory
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64
 from stillroom.geometry.camera import Camera
@@ -48,6 +49,7 @@ class Slam:
     recovery: Relocalizer
     keyframe_policy: KeyframePolicy
     mapper: LocalMapper
+    places: PlaceMemory
     dense_mapper: DenseMapping
     keeper: MapKeeping
     map: Map
@@ -68,6 +70,7 @@ class Slam:
         if self.keyframe_policy.wants(tracked, self.map):
             keyframe = self.mapper.insert(tracked)  # now: points from depth, from static keypoints only
             self.schedule.submit(self.mapper.refine, keyframe)  # later: triangulate, fuse, adjust, cull
+            self.schedule.submit(self.places.remember, keyframe)  # what it looks like; culled ones are forgotten
             self.schedule.submit(self.keeper.keep, keyframe, image, tracked.motion.moving)  # on disk, where wanted
         self._map_densely(tracked, keyframe)
         return self._conclude(tracked, semantics, keyframe)
@@ -167,12 +170,15 @@ def build(
     Raises:
         ConfigError: A value is impossible.
         WeightsError: A network's weights are absent.
+        VocabularyError: The vocabulary of places cannot be read.
     """
     clock = clock or StageClock()
     segmenter = segmenter or config.semantics.build()
     world = world or Map(config.features.scales)
     sieve = timed_part(config.dynamics.build(config.seed), clock, judge="dynamics")
     tracker = config.tracking.build(sieve, config.low_cost.build(sieve))
+    places = config.places.build(world)
+    places.remember_all()
     recovery = config.recovery.build(tracker, config.seed)
     return Slam(
         schedule=schedule or InOrder(),
@@ -183,7 +189,10 @@ def build(
         tracker=timed_part(tracker, clock, track="tracking"),
         recovery=timed_part(recovery, clock, recover="recovery"),
         keyframe_policy=config.keyframes.build(),
-        mapper=timed_part(config.mapping.build(camera, world), clock, insert="keyframe", refine="mapping", finish="rest"),
+        mapper=timed_part(
+            config.mapping.build(camera, world), clock, insert="keyframe", refine="mapping", finish="rest"
+        ),
+        places=timed_part(places, clock, remember="places"),
         dense_mapper=timed_part(config.dense.build(camera, world), clock, integrate="dense", carve="carving"),
         keeper=timed_part(keeper, clock, keep="storage") if keeper else NoKeeper(),
         map=world,

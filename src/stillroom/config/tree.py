@@ -22,6 +22,7 @@ from stillroom.config.kinds import (
 from stillroom.dense.nothing import NoDenseMapConfig
 from stillroom.dynamics.keep_all import KeepAllConfig, KeepAllKeypointsConfig
 from stillroom.features.orb import OrbConfig
+from stillroom.features.places.place_memory import PlacesConfig
 from stillroom.mapping.local_mapper import LocalMapperConfig
 from stillroom.semantics.depth_clusters import NoClustersConfig
 from stillroom.semantics.nothing import NothingConfig
@@ -45,6 +46,7 @@ class SlamConfig:
         dynamics: What does move (sieve 2); `kind` chooses the part.
         low_cost: A quick pose before tracking proper, for geometry to start from; `kind` chooses the part.
         features: Keypoints.
+        places: What keyframes look like, for recognising where the camera is.
         tracking, recovery, keyframes, mapping: ORB-SLAM2's parts.
         dense: The dense map (sieve 3); `kind` chooses the part.
         storage: What a map file keeps beside the map, where a run writes one.
@@ -58,6 +60,7 @@ class SlamConfig:
     dynamics: MatchSieveConfig = field(default_factory=KeepAllConfig, metadata={"kinds": DYNAMICS})
     low_cost: QuickTrackingConfig = field(default_factory=NoLowCostConfig, metadata={"kinds": LOW_COST})
     features: OrbConfig = field(default_factory=OrbConfig)
+    places: PlacesConfig = field(default_factory=PlacesConfig)
     tracking: TrackerConfig = field(default_factory=TrackerConfig)
     recovery: RelocalizerConfig = field(default_factory=RelocalizerConfig)
     keyframes: KeyframePolicyConfig = field(default_factory=KeyframePolicyConfig)

@@ -24,6 +24,8 @@ from stillroom.dynamics.clusters.sieve import ClusterSieveConfig
 from stillroom.dynamics.homography.sieve import CompensatedHomographyConfig
 from stillroom.evaluation.ghosts.patches import distances_to_patches_m
 from stillroom.evaluation.ghosts.views import DepthView, settled, sightings
+from stillroom.features.places.branch_matching import match_by_branch
+from stillroom.features.places.training import TrainingConfig, train
 from stillroom.geometry.arrays import F64
 from stillroom.protocols import MatchSieve, Pending
 from stillroom.semantics.depth_clusters import DepthClustersConfig
@@ -44,6 +46,7 @@ ANTS = CompensatedHomographyConfig(ants=ReverseSearchConfig(path=PathConfig(kind
 def do_everything() -> None:
     """Track the made-up scene with all parts there are, and do with the maps what can be done with them."""
     slam = track()
+    recognise(slam)
     cloud = correct(slam)
     draw(cloud, slam)
     paint_out(cloud, slam)
@@ -61,6 +64,19 @@ def track() -> Slam:
         slam.process(image)
     slam.close()
     return slam
+
+
+def recognise(slam: Slam) -> None:
+    """Make a small vocabulary of the keyframes, and ask which of them looks like the newest."""
+    world, index = slam.map, slam.places.index
+    newest = int(world.alive_keyframes()[-1])
+    descriptors = world.keypoints.descriptors[world.rows(newest)]
+    train([descriptors], TrainingConfig(branching=2, depth=2))
+    bag = index.bag(newest)
+    slam.places.candidates(bag)
+    match_by_branch(descriptors, bag.nodes, descriptors, bag.nodes)
+    index.remove(newest)
+    index.add(newest, bag)
 
 
 def correct(slam: Slam) -> DenseCloud:

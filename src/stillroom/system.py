@@ -133,11 +133,17 @@ class Slam:
             is_keyframe=keyframe >= 0,
             reference_keyframe=tracked.reference_keyframe,
             T_reference_cam=self._in_reference(tracked),
+            submap=self._submap_of(tracked),
+            recovery=tracked.recovery,
         )
         self.results.append(result)
         self.keeper.note(result)
         self.observer.on_frame(tracked, semantics.result(), result)
         return result
+
+    def _submap_of(self, tracked: Tracked) -> int:
+        known = tracked.reference_keyframe >= 0
+        return int(self.map.keyframes.submap[tracked.reference_keyframe]) if known else 0
 
     def _in_reference(self, tracked: Tracked) -> F64 | None:
         if tracked.T_world_cam is None:
@@ -179,7 +185,7 @@ def build(
     tracker = config.tracking.build(sieve, config.low_cost.build(sieve))
     places = config.places.build(world)
     places.remember_all()
-    recovery = config.recovery.build(tracker, config.seed)
+    recovery = config.recovery.build(tracker, places, config.seed)
     return Slam(
         schedule=schedule or InOrder(),
         segmenter=clock.timed("semantics", segmenter),

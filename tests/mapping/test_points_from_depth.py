@@ -30,7 +30,7 @@ def made(frame: Frame, is_static: np.ndarray | None = None, first: bool = False)
         world.add_keyframe(blank, POSE, np.zeros(0, np.int32), blank.is_static, -1)
     static = frame.is_static if is_static is None else is_static
     tracked = tracked_frame(frame)
-    keyframe = world.add_keyframe(frame, POSE, tracked.point_ids, static, -1)
+    keyframe = world.add_keyframe(frame, POSE, tracked.point_ids, static, -1 if first else 0)
     ids = from_depth(keyframe, tracked, CLOSE_M, world)
     return world, ids, world.points_of(keyframe) >= 0
 

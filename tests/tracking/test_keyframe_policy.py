@@ -8,7 +8,7 @@ from small_world import CAMERA, SCALES, SmallMap, SmallWorld, pose
 
 from stillroom.data.map import Map
 from stillroom.data.motion import Motion
-from stillroom.data.result import Tracked, TrackingState
+from stillroom.data.result import Recovery, Tracked, TrackingState
 from stillroom.tracking.keyframe_policy import KeyframePolicy, KeyframePolicyConfig
 
 CONFIG = KeyframePolicyConfig(min_gap=2, quiet_after_recovery=5, share=0.6, min_inliers=15)
@@ -125,7 +125,7 @@ def test_a_weak_pose_is_no_ground_to_build_on(n_inliers: int, wanted: bool) -> N
 
 def test_after_a_recovery_a_large_map_waits_and_a_small_one_does_not() -> None:
     large = SmallMap.of(SmallWorld.of(0, 900, near_m=1.2), [pose(0.01 * k) for k in range(6)])
-    recovered = replace(frame_with(FEW), recovered=True)
+    recovered = replace(frame_with(FEW), recovery=Recovery.PLACE)
     for small, expected in ((large, [False] * 5 + [True]), (SMALL, [True, False, True, False, True, False])):
         policy = after_a_pause()
         answers = [policy.wants(recovered, small.map)]

@@ -10,7 +10,7 @@ from stillroom.data.frame import Frame
 from stillroom.data.map import Map
 from stillroom.data.matches import Matches
 from stillroom.data.motion import Motion, Stage
-from stillroom.data.result import Tracked, TrackingState
+from stillroom.data.result import Recovery, Tracked, TrackingState
 from stillroom.geometry import se3
 from stillroom.tracking.tracker import Tracker, TrackerConfig
 
@@ -115,7 +115,7 @@ def test_after_a_lost_frame_there_is_no_past_to_go_on_from() -> None:
     assert tracker.track(look(pose(0.04))[0], NOBODY, small.map).lost
     assert sieve.asked == []
     # Found again, the camera has a place but no velocity.
-    tracker.remember(replace(small.tracked(0), recovered=True), small.map)
+    tracker.remember(replace(small.tracked(0), recovery=Recovery.PLACE), small.map)
     check_pose(tracker.track(look(pose(0.04))[0], NOBODY, small.map), pose(0.04))
     assert sieve.stages == [Stage.REFERENCE_KEYFRAME, Stage.LOCAL_MAP]
 
@@ -287,7 +287,7 @@ class TestLocate:
         frame = replace(frame, keypoints=kp, is_static=np.ones(len(known), bool))
         guess = np.linalg.inv(pose(0.04) @ se3.exp(np.full(6, 0.003)))
         point_ids = np.where(np.arange(len(known)) < 25, small.id_of[seen[known]], -1).astype(np.int32)
-        return tracker.locate(frame, guess, point_ids, NOBODY, small.map)
+        return tracker.locate(frame, guess, point_ids, NOBODY, small.map, Recovery.PLACE)
 
     def test_a_pose_found_by_other_means_is_refined(self) -> None:
         tracked = self.located(200)
@@ -309,7 +309,7 @@ def test_for_a_second_after_recovery_more_inliers_are_needed() -> None:
     kp = type(frame.keypoints)(*(column[:60] for column in frame.keypoints.__dict__.values()))
     sparse = replace(frame, keypoints=kp, is_static=np.ones(60, bool))
     assert not tracker.track(sparse, NOBODY, small.map).lost
-    tracker.remember(replace(small.tracked(1), recovered=True), small.map)
+    tracker.remember(replace(small.tracked(1), recovery=Recovery.PLACE), small.map)
     for _ in range(30):
         assert tracker.track(sparse, NOBODY, small.map).lost
         tracker.remember(small.tracked(1), small.map)

@@ -16,6 +16,19 @@ class TrackingState(Enum):
     LOST = "lost"
 
 
+class Recovery(Enum):
+    """How a frame got its pose back, where the camera was lost before it."""
+
+    NONE = "none"
+    """It was not lost, or it is still."""
+    LAST_KEYFRAMES = "last keyframes"
+    """One of the newest keyframes was recognised."""
+    PLACE = "place"
+    """A place was recognised among all keyframes, by what it looks like."""
+    NEW_SUBMAP = "new sub-map"
+    """Nothing was recognised for a while; the frame begins a piece of map of its own."""
+
+
 @dataclass(frozen=True)
 class Tracked:
     """A frame with its place in the map; handed from tracking to mapping.
@@ -27,7 +40,7 @@ class Tracked:
         point_ids: Map point of each keypoint (N,) int32; −1 where none. Only inliers of the pose.
         motion: What moves in the image, and the verdict on each keypoint.
         reference_keyframe: Id of the keyframe that shares most points; −1 before there is one.
-        recovered: Whether the pose came from recognising the scene after being lost.
+        recovery: How the frame got its pose back after the camera was lost.
     """
 
     frame: Frame
@@ -36,7 +49,12 @@ class Tracked:
     point_ids: I32 = field(repr=False)
     motion: Motion = field(repr=False)
     reference_keyframe: int = -1
-    recovered: bool = False
+    recovery: Recovery = Recovery.NONE
+
+    @property
+    def recovered(self) -> bool:
+        """Whether the pose came from recognising the scene after being lost."""
+        return self.recovery in (Recovery.LAST_KEYFRAMES, Recovery.PLACE)
 
     @property
     def lost(self) -> bool:
@@ -68,6 +86,8 @@ class FrameResult:
         is_keyframe: Whether this frame became one.
         reference_keyframe: Id of the keyframe that the final trajectory hangs this frame on; −1 when lost.
         T_reference_cam: Pose in that keyframe (4, 4); None when lost.
+        submap: The piece of the map that the pose was in at this moment; pieces that join later become one.
+        recovery: How the frame got its pose back after the camera was lost.
     """
 
     index: int
@@ -81,3 +101,5 @@ class FrameResult:
     is_keyframe: bool
     reference_keyframe: int
     T_reference_cam: F64 | None
+    submap: int = 0
+    recovery: Recovery = Recovery.NONE

@@ -1,5 +1,6 @@
 """What leaves the map again: points that did not prove themselves, keyframes that add nothing."""
 
+import numpy as np
 from numba import njit
 
 from stillroom.data.map import Map
@@ -11,6 +12,12 @@ TRIAL_KEYFRAMES = 8
 """ORB-SLAM2 has 2. Its keyframes lie further apart in time; here that would throw away most of what a fast turn saw."""
 REDUNDANT_SHARE = 0.9
 _MIN_OTHERS = 3
+
+
+def on_trial(world: Map) -> I32:
+    """Return the points (P,) of the last keyframes, which have yet to prove themselves."""
+    first = len(world.keyframes) - TRIAL_KEYFRAMES
+    return np.flatnonzero(world.points.is_alive & (world.points.first_keyframe >= first)).astype(np.int32)
 
 
 def cull_points(recent: I32, keyframe: int, world: Map) -> I32:
@@ -30,14 +37,14 @@ def cull_points(recent: I32, keyframe: int, world: Map) -> I32:
 def cull_keyframes(keyframe: int, close_depth_m: float, world: Map) -> list[int]:
     """Remove covisible keyframes of which 90 % of the close points are seen by three others as finely.
 
-    The first keyframe, which is the origin, and the newest stay.
+    The first keyframe of a sub-map, which is its origin, and the newest stay.
 
     Returns:
         The removed keyframes.
     """
     removed = []
     for candidate in world.covisibility.neighbours(keyframe):
-        if candidate == 0:
+        if world.keyframes.parent[candidate] < 0:
             continue
         rows = world.rows(candidate)
         table, points = world.keypoints, world.points

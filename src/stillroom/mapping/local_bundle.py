@@ -18,19 +18,19 @@ def adjust_locally(keyframe: int, max_keyframes: int, camera: Camera, adjust: Bu
 
 
 def adjust_all(camera: Camera, adjust: BundleAdjuster, world: Map) -> None:
-    """Adjust all keyframes but the first and all points; observations that do not fit afterwards are removed."""
+    """Adjust all keyframes but the first of each sub-map, and all points; observations that do not fit are removed."""
     adjust_these([int(keyframe) for keyframe in world.alive_keyframes()], camera, adjust, world)
 
 
 def adjust_these(free: list[int], camera: Camera, adjust: BundleAdjuster, world: Map) -> None:
-    """Adjust some keyframes and their points; others that see these points hold them in place, as does the first."""
+    """Adjust some keyframes and their points; others that see these hold them in place, as does a sub-map's first."""
     if not free:
         return
     table, points, keyframes = world.keypoints, world.points, world.keyframes
     point_ids = world.points_seen_by(np.array(free))
     place, rows = world.observations(point_ids)
     involved, obs_keyframe = np.unique(table.keyframe[rows], return_inverse=True)
-    is_fixed = ~np.isin(involved, free) | (involved == 0)
+    is_fixed = ~np.isin(involved, free) | (keyframes.parent[involved] < 0)
     if is_fixed.all() or len(rows) == 0:
         return
     if not is_fixed.any():

@@ -7,7 +7,7 @@ import numpy as np
 from stillroom.data.map import Map
 from stillroom.data.result import Tracked
 from stillroom.geometry.camera import Camera
-from stillroom.mapping.culling import cull_keyframes, cull_points
+from stillroom.mapping.culling import cull_keyframes, cull_points, on_trial
 from stillroom.mapping.fusing import fuse_neighbourhood
 from stillroom.mapping.local_bundle import adjust_all, adjust_locally
 from stillroom.mapping.new_points import by_triangulation, from_depth
@@ -43,11 +43,11 @@ class LocalMapper:
     """Adds keyframes to a map and refines the map around them."""
 
     def __init__(self, config: LocalMapperConfig, camera: Camera, world: Map) -> None:
-        """Start with nothing on trial."""
+        """Start with the points on trial that an earlier run left."""
         self.config, self.camera, self.world = config, camera, world
         self._adjust = config.bundle.build()
         self._close_depth_m = config.th_depth * camera.baseline_m
-        self._on_trial = np.zeros(0, dtype=np.int32)
+        self._on_trial = on_trial(world)
 
     def insert(self, tracked: Tracked) -> int:
         """Add a frame as a keyframe, with points from the depth of its static keypoints; return its id."""

@@ -19,7 +19,8 @@ _CHI2_2D, _CHI2_3D = 5.991, 7.815
 def from_depth(keyframe: int, tracked: Tracked, close_depth_m: float, world: Map) -> I32:
     """Make points of the static keypoints with depth that see none yet: all close ones, and the nearest 100.
 
-    The first keyframe makes all it can (ORB-SLAM2: StereoInitialization): there is nothing else to track by yet.
+    The first keyframe of a sub-map makes all it can (ORB-SLAM2: StereoInitialization): there is nothing else to track
+    by yet.
 
     Args:
         keyframe: The keyframe that the frame became.
@@ -35,7 +36,7 @@ def from_depth(keyframe: int, tracked: Tracked, close_depth_m: float, world: Map
     candidates = np.flatnonzero((keypoints.depth_m > 0) & static)
     candidates = candidates[np.argsort(keypoints.depth_m[candidates], kind="stable")]
     n_close = int((keypoints.depth_m[candidates] < close_depth_m).sum())
-    if keyframe > 0:
+    if world.keyframes.parent[keyframe] >= 0:
         candidates = candidates[: max(n_close, MIN_NEAREST)]
     free = candidates[world.points_of(keyframe)[candidates] < 0]
     points_cam = tracked.frame.camera.back_project(keypoints.px[free], keypoints.depth_m[free])

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stillroom.data.map import Map
-from stillroom.data.result import Tracked, TrackingState
+from stillroom.data.result import Recovery, Tracked, TrackingState
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,10 @@ class KeyframePolicy:
         self._since_recovery = 0 if tracked.recovered else self._since_recovery + 1
         if tracked.state is not TrackingState.OK or not self.config.enabled:
             return False
-        wanted = len(world.keyframes) == 0 or self._is_due(tracked, world)
+        begins = len(world.keyframes) == 0 or tracked.recovery is Recovery.NEW_SUBMAP
+        wanted = begins or self._is_due(tracked, world)
+        if begins:
+            self._since_recovery = 1 << 30
         if wanted:
             self._since_keyframe = 0
         return wanted

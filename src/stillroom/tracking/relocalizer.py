@@ -1,17 +1,16 @@
-"""Finding the camera again when it was lost, against the last keyframes."""
+"""Finding the camera again when it was lost: by places, by the last keyframes, or by beginning a piece of map anew."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
-import cv2
 import numpy as np
 
 from stillroom.data.map import Map
-from stillroom.data.matches import Matches
-from stillroom.data.result import Tracked
+from stillroom.data.result import Recovery, Tracked, TrackingState
 from stillroom.data.semantics import Semantics
-from stillroom.geometry.arrays import F64, Bool
+from stillroom.features.places.place_memory import PlaceMemory
 from stillroom.protocols import Pending
 from stillroom.tracking.correspondences import with_keyframe
+from stillroom.tracking.recognition import Found, RecognitionConfig, solve_pnp
 from stillroom.tracking.tracker import Tracker
 
 
@@ -20,64 +19,105 @@ class RelocalizerConfig:
     """How a lost camera is found.
 
     Attributes:
-        n_keyframes: Newest keyframes to try.
-        min_matches: Matches that a candidate needs.
-        reprojection_px: RANSAC's tolerance.
-        min_inliers: Points that must agree with a pose before it is refined.
+        n_places: Places that look alike to try.
+        recognition: When one is taken for recognised.
+        n_keyframes: Newest keyframes to try where no place was recognised.
+        min_matches: Matches that such a keyframe needs.
+        reprojection_px: RANSAC's tolerance with them.
+        min_inliers: Points that must agree with such a pose before it is refined.
+        patience: Frames that show enough and are not recognised before a sub-map is begun; 0: never.
     """
 
+    n_places: int = 5
+    recognition: RecognitionConfig = field(default_factory=RecognitionConfig)
     n_keyframes: int = 10
     min_matches: int = 20
     reprojection_px: float = 4.0
     min_inliers: int = 15
+    patience: int = 20
 
-    def build(self, tracker: Tracker, seed: int = 0) -> "Relocalizer":
-        """Return a relocalizer that refines its finds with the tracker."""
-        return Relocalizer(self, tracker, seed)
+    def build(self, tracker: Tracker, places: PlaceMemory, seed: int = 0) -> "Relocalizer":
+        """Return a relocalizer that asks the memory of places and refines its finds with the tracker."""
+        return Relocalizer(self, tracker, places, seed)
 
 
 class Relocalizer:
-    """Matches with the newest keyframes, solves for the pose, lets the tracker refine it. Sieves are off here."""
+    """Asked with every frame on which tracking failed. Sieves do not reject while it searches (`Stage.RELOCALIZATION`).
 
-    def __init__(self, config: RelocalizerConfig, tracker: Tracker, seed: int) -> None:
+    The place that looks most alike is tried first, wherever the camera was last: matching, PnP, a guided search. Then
+    come the newest keyframes, each with all its descriptors: after a short gap they know more than words do.
+    """
+
+    def __init__(self, config: RelocalizerConfig, tracker: Tracker, places: PlaceMemory, seed: int) -> None:
         """Keep what recovering needs."""
-        self.config, self.tracker, self.seed = config, tracker, seed
+        self.config, self.tracker, self.places, self.seed = config, tracker, places, seed
+        self._recognizer = config.recognition.build(seed)
+        self._n_in_vain = 0
 
     def recover(self, tracked: Tracked, semantics: Pending[Semantics], world: Map) -> Tracked:
-        """Return the lost frame with a pose, or as it was when no keyframe recognises it."""
-        for keyframe in world.alive_keyframes()[::-1][: self.config.n_keyframes]:
+        """Return the lost frame with a pose, or as it was when nothing recognises it.
+
+        After some frames in vain one that shows enough begins a sub-map.
+        """
+        found = self.by_place(tracked, semantics, world) or self._by_last_keyframes(tracked, semantics, world)
+        if found is None:
+            found = self._anew(tracked, semantics, world)
+        if found is None:
+            return tracked
+        self._n_in_vain = 0
+        return found
+
+    def by_place(self, tracked: Tracked, semantics: Pending[Semantics], world: Map) -> Tracked | None:
+        """Return the frame where a place was recognised."""
+        frame, index = tracked.frame, self.places.index
+        bag = self.places.bag_of_frame(frame)
+        for keyframe in self.places.candidates(bag, at_most=self.config.n_places):
+            nodes = index.nodes(int(keyframe))
+            found = self._recognizer.recognise(frame, bag, int(keyframe), nodes, world)
+            located = None if found is None else self._located(tracked, found, semantics, world, Recovery.PLACE)
+            if located is not None:
+                return located
+        return None
+
+    def _by_last_keyframes(self, tracked: Tracked, semantics: Pending[Semantics], world: Map) -> Tracked | None:
+        config = self.config
+        for keyframe in world.alive_keyframes()[::-1][: config.n_keyframes]:
             matches = with_keyframe(tracked.frame, int(keyframe), world)
-            if len(matches) < self.config.min_matches:
+            if len(matches) < config.min_matches:
                 continue
-            solved = self._solve(tracked, matches, world)
+            solved = solve_pnp(
+                tracked.frame, matches, world, config.reprojection_px, 300, config.min_inliers, self.seed
+            )
             if solved is None:
                 continue
             T_cam_world, inlier = solved
             point_ids = np.full(len(tracked.frame), -1, dtype=np.int32)
             point_ids[matches.keypoint[inlier]] = matches.point_id[inlier]
-            found = self.tracker.locate(tracked.frame, T_cam_world, point_ids, semantics, world)
-            if not found.lost:
-                return found
-        return tracked
+            found = Found(T_cam_world, point_ids)
+            located = self._located(tracked, found, semantics, world, Recovery.LAST_KEYFRAMES)
+            if located is not None:
+                return located
+        return None
 
-    def _solve(self, tracked: Tracked, matches: Matches, world: Map) -> tuple[F64, Bool] | None:
-        camera = tracked.frame.camera
-        cv2.setRNGSeed(self.seed)
-        found, rotation, translation, inliers = cv2.solvePnPRansac(
-            world.points.position_m[matches.point_id],
-            tracked.frame.keypoints.px[matches.keypoint].astype(np.float64),
-            camera.K,
-            np.zeros(4),
-            iterationsCount=300,
-            reprojectionError=self.config.reprojection_px,
-            confidence=0.99,
-            flags=cv2.SOLVEPNP_EPNP,
-        )
-        if not found or inliers is None or len(inliers) < self.config.min_inliers:
+    def _located(
+        self, tracked: Tracked, found: Found, semantics: Pending[Semantics], world: Map, recovery: Recovery
+    ) -> Tracked | None:
+        """Return the frame under a pose that its local map confirms."""
+        located = self.tracker.locate(tracked.frame, found.T_cam_world, found.point_ids, semantics, world, recovery)
+        return None if located.lost else located
+
+    def _anew(self, tracked: Tracked, semantics: Pending[Semantics], world: Map) -> Tracked | None:
+        """Return the frame as the first of a sub-map, when that is due and it shows enough."""
+        if self.config.patience == 0:
             return None
-        T_cam_world = np.eye(4)
-        T_cam_world[:3, :3] = cv2.Rodrigues(rotation)[0]
-        T_cam_world[:3, 3] = translation[:, 0]
-        is_inlier = np.zeros(len(matches), dtype=np.bool_)
-        is_inlier[inliers[:, 0]] = True
-        return T_cam_world, is_inlier
+        frame = tracked.frame
+        n_usable = int((frame.is_static & (frame.keypoints.depth_m > 0)).sum())
+        if n_usable < self.tracker.config.min_initial_keypoints:
+            return None
+        self._n_in_vain += 1
+        if self._n_in_vain <= self.config.patience:
+            return None
+        started = self.tracker.start(frame, semantics, world)
+        if started.state is not TrackingState.OK:
+            return None
+        return replace(started, recovery=Recovery.NEW_SUBMAP)

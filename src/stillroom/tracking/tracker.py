@@ -5,10 +5,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from stillroom.data.frame import Frame
-from stillroom.data.map import Map
+from stillroom.data.map import Map, submaps
 from stillroom.data.matches import Matches
 from stillroom.data.motion import Motion, Stage
-from stillroom.data.result import Tracked, TrackingState
+from stillroom.data.result import Recovery, Tracked, TrackingState
 from stillroom.data.semantics import Semantics
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64, I32
@@ -86,7 +86,7 @@ class Tracker:
             world: The map.
         """
         if len(world.keyframes) == 0:
-            return self._first_frame(frame, semantics, world)
+            return self.start(frame, semantics, world)
         last = self._last_as_known_now(world)
         fix = None
         if last is not None and last.T_world_cam is not None and self._velocity.is_known:
@@ -99,16 +99,41 @@ class Tracker:
             return _lost(frame, self._reference)
         return self._with_local_map(frame, fix, last.reference_keyframe, semantics, world)
 
+    def start(self, frame: Frame, semantics: Pending[Semantics], world: Map) -> Tracked:
+        """Return the frame as one that begins a map, or a sub-map where there is one, if enough is seen in it."""
+        nothing = np.full(len(frame), -1, dtype=np.int32)
+        T_world_cam = submaps.origin(world.n_submaps)
+        motion = self.sieve.judge(Stage.LOCAL_MAP, frame, Matches.of(nothing), semantics, T_world_cam, world)
+        usable = frame.is_static & motion.is_static & (frame.keypoints.depth_m > 0)
+        if usable.sum() < self.config.min_initial_keypoints:
+            return Tracked(frame, TrackingState.NOT_INITIALIZED, None, nothing, motion)
+        return Tracked(frame, TrackingState.OK, T_world_cam, nothing, motion)
+
     def locate(
-        self, frame: Frame, T_cam_world: F64, point_ids: I32, semantics: Pending[Semantics], world: Map
+        self,
+        frame: Frame,
+        T_cam_world: F64,
+        point_ids: I32,
+        semantics: Pending[Semantics],
+        world: Map,
+        recovery: Recovery,
     ) -> Tracked:
-        """Refine a pose (4, 4) found by other means, with the points (N,) that led to it, against the local map."""
+        """Refine a pose against the local map that was found after the camera was lost.
+
+        Args:
+            frame: The frame.
+            T_cam_world: Its pose (4, 4).
+            point_ids: The points (N,) that led to it.
+            semantics: What may move in it.
+            world: The map.
+            recovery: How the pose was found.
+        """
         motion = Motion.none(len(frame), frame.image.height, frame.image.width)
         fix = _Fix(T_cam_world, point_ids, motion, np.zeros(0, dtype=np.int32))
         tracked = self._with_local_map(frame, fix, self._reference, semantics, world)
         if tracked.n_inliers < self.config.min_inliers_recovered:
             return _lost(frame, tracked.reference_keyframe, tracked.motion)
-        return replace(tracked, recovered=True)
+        return replace(tracked, recovery=recovery)
 
     def remember(self, tracked: Tracked, world: Map) -> None:
         """Take the outcome of a frame, mapping included, as the past of the next one."""
@@ -126,14 +151,6 @@ class Tracker:
     @property
     def _reference(self) -> int:
         return self._last.reference_keyframe if self._last is not None else 0
-
-    def _first_frame(self, frame: Frame, semantics: Pending[Semantics], world: Map) -> Tracked:
-        nothing = np.full(len(frame), -1, dtype=np.int32)
-        motion = self.sieve.judge(Stage.LOCAL_MAP, frame, Matches.of(nothing), semantics, np.eye(4), world)
-        usable = frame.is_static & motion.is_static & (frame.keypoints.depth_m > 0)
-        if usable.sum() < self.config.min_initial_keypoints:
-            return Tracked(frame, TrackingState.NOT_INITIALIZED, None, nothing, motion)
-        return Tracked(frame, TrackingState.OK, np.eye(4), nothing, motion)
 
     def _last_as_known_now(self, world: Map) -> Tracked | None:
         """Return the last frame with pose and points moved along with what mapping did to the map since."""

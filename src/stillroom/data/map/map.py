@@ -1,5 +1,7 @@
 """The map: keyframes, their keypoints, and the points that they see."""
 
+import threading
+
 import numpy as np
 
 from stillroom.data.frame import Frame, ScaleLevels
@@ -18,6 +20,7 @@ class Map:
         scales: The pyramid of the keypoints.
         keyframes, keypoints, points: The tables; see `tables`.
         covisibility: Which keyframes see the same points.
+        lock: Held by whoever changes the map from a thread of its own, as a closed loop does.
         loop_edges: Keyframes that closed loops: the one that knew the place, the one that came back.
     """
 
@@ -28,7 +31,9 @@ class Map:
         self.keypoints = KeypointTable(capacity=65536)
         self.points = PointTable(capacity=16384)
         self.covisibility = Covisibility()
+        self.lock = threading.RLock()
         self.loop_edges: list[tuple[int, int]] = []
+        self._n_submaps = 0
 
     # Keyframes
 
@@ -40,7 +45,7 @@ class Map:
             T_world_cam: Pose (4, 4).
             point_ids: Point that each keypoint sees (N,), −1 for none.
             is_static: Verdict on each keypoint (N,); the others never make or see a point.
-            parent: Keyframe that it hangs on, −1 for the first.
+            parent: Keyframe that it hangs on; −1 for one that begins a sub-map, as the first does.
 
         Returns:
             The id of the new keyframe.
@@ -66,10 +71,17 @@ class Map:
             n_rows=len(frame),
             parent=parent,
             T_parent_cam=np.eye(4),
+            submap=self.keyframes.submap[parent] if parent >= 0 else self.n_submaps,
         )
         seen = np.flatnonzero((point_ids >= 0) & is_static)
         self.observe(point_ids[seen], rows.start + seen)
         return keyframe
+
+    @property
+    def n_submaps(self) -> int:
+        """How many sub-maps were begun; their ids are never used again."""
+        self._n_submaps = max(self._n_submaps, int(self.keyframes.submap.max(initial=-1)) + 1)
+        return self._n_submaps
 
     def rows(self, keyframe: int) -> slice:
         """Return where the keyframe's keypoints lie in the keypoint table."""

@@ -119,6 +119,7 @@ class PointTable(Table):
 class KeyframeTable(Table):
     """Keyframes. A culled one keeps its place beneath its parent, so that frames hung on it keep a pose.
 
+    `submap` is the piece of the map that it belongs to (see `submaps`); points belong where their first keyframe does.
     `is_unsaved` tells of which keyframes the observations changed since the map was last written to disk.
     """
 
@@ -130,4 +131,5 @@ class KeyframeTable(Table):
     is_alive = Column(np.bool_, fill=1)
     parent = Column(np.int32, fill=-1)
     T_parent_cam = Column(np.float64, 4, 4)
+    submap = Column(np.int32)
     is_unsaved = Column(np.bool_, fill=1)

@@ -1,0 +1,62 @@
+"""Pieces of a map that nobody has connected yet: what a camera saw after it was lost, until it recognises a place.
+
+A keyframe without a parent begins a sub-map. Sub-maps lie half a kilometre apart, so that nothing that compares places,
+such as depth remembered from before, ever takes one for another.
+"""
+
+import numpy as np
+
+from stillroom.data.map.map import Map
+from stillroom.geometry import se3
+from stillroom.geometry.arrays import F64, I64, Ints
+
+SPACING_M = 500.0
+_IN_A_ROW = 32
+
+
+def origin(submap: int) -> F64:
+    """Return the pose `T_world_cam` (4, 4) at which a sub-map begins."""
+    T = np.eye(4)
+    T[:2, 3] = SPACING_M * (submap % _IN_A_ROW), SPACING_M * (submap // _IN_A_ROW)
+    return T
+
+
+def unjoined(world: Map) -> I64:
+    """Return the ids of the sub-maps (S,) that there are, the oldest first; one where all hangs together."""
+    found: I64 = np.unique(world.keyframes.submap[world.keyframes.is_alive]).astype(np.int64)
+    return found
+
+
+def main(world: Map) -> int:
+    """Return the sub-map with most keyframes, of equals the oldest: what a run's trajectory lies in."""
+    sizes = np.bincount(world.keyframes.submap[world.keyframes.is_alive], minlength=1)
+    return int(np.argmax(sizes))
+
+
+def of_points(point_ids: Ints, world: Map) -> Ints:
+    """Return the sub-map (P,) of each point (P,)."""
+    submaps: Ints = world.keyframes.submap[world.points.first_keyframe[point_ids]]
+    return submaps
+
+
+def join(moved: int, kept: int, T_kept_moved: F64, parent: int, world: Map) -> None:
+    """Lay a sub-map onto another, as one from now on: its keyframes and points move rigidly.
+
+    Args:
+        moved: The sub-map that moves.
+        kept: The one that stays where it is.
+        T_kept_moved: Motion (4, 4) of its coordinates.
+        parent: Keyframe of the other that its first keyframe hangs on from now on.
+        world: The map.
+    """
+    table, points = world.keyframes, world.points
+    members = np.flatnonzero(table.submap == moved)
+    ids = np.flatnonzero(points.is_alive)
+    ids = ids[of_points(ids, world) == moved]
+    alive = members[table.is_alive[members]]
+    table.T_world_cam[alive] = T_kept_moved @ table.T_world_cam[alive]
+    points.position_m[ids] = se3.transform(T_kept_moved, points.position_m[ids])
+    table.submap[members] = kept
+    root = members[table.parent[members] < 0]
+    table.parent[root] = parent
+    world.refresh_geometry(ids)

@@ -16,6 +16,7 @@ from stillroom.features.places.place_memory import PlaceMemory
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64
 from stillroom.geometry.camera import Camera
+from stillroom.loops.loop_closer import LoopClosing
 from stillroom.mapping.local_mapper import LocalMapper
 from stillroom.protocols import (
     Clusterer,
@@ -50,6 +51,7 @@ class Slam:
     keyframe_policy: KeyframePolicy
     mapper: LocalMapper
     places: PlaceMemory
+    loop_closer: LoopClosing
     dense_mapper: DenseMapping
     keeper: MapKeeping
     map: Map
@@ -71,6 +73,7 @@ class Slam:
             keyframe = self.mapper.insert(tracked)  # now: points from depth, from static keypoints only
             self.schedule.submit(self.mapper.refine, keyframe)  # later: triangulate, fuse, adjust, cull
             self.schedule.submit(self.places.remember, keyframe)  # what it looks like; culled ones are forgotten
+            self.schedule.submit(self.loop_closer.close, keyframe)  # a place seen again puts the whole map right
             self.schedule.submit(self.keeper.keep, keyframe, image, tracked.motion.moving)  # on disk, where wanted
         self._map_densely(tracked, keyframe)
         return self._conclude(tracked, semantics, keyframe)
@@ -186,6 +189,8 @@ def build(
     places = config.places.build(world)
     places.remember_all()
     recovery = config.recovery.build(tracker, places, config.seed)
+    dense_mapper = config.dense.build(camera, world)
+    loop_closer = config.loops.build(camera, world, places, config.seed, after=(dense_mapper.refresh,))
     return Slam(
         schedule=schedule or InOrder(),
         segmenter=clock.timed("semantics", segmenter),
@@ -199,7 +204,8 @@ def build(
             config.mapping.build(camera, world), clock, insert="keyframe", refine="mapping", finish="rest"
         ),
         places=timed_part(places, clock, remember="places"),
-        dense_mapper=timed_part(config.dense.build(camera, world), clock, integrate="dense", carve="carving"),
+        loop_closer=timed_part(loop_closer, clock, close="loops"),
+        dense_mapper=timed_part(dense_mapper, clock, integrate="dense", carve="carving"),
         keeper=timed_part(keeper, clock, keep="storage") if keeper else NoKeeper(),
         map=world,
         observer=observer or Nothing(),

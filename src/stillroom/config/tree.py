@@ -23,6 +23,7 @@ from stillroom.dense.nothing import NoDenseMapConfig
 from stillroom.dynamics.keep_all import KeepAllConfig, KeepAllKeypointsConfig
 from stillroom.features.orb import OrbConfig
 from stillroom.features.places.place_memory import PlacesConfig
+from stillroom.loops.loop_closer import LoopsConfig
 from stillroom.mapping.local_mapper import LocalMapperConfig
 from stillroom.semantics.depth_clusters import NoClustersConfig
 from stillroom.semantics.nothing import NothingConfig
@@ -47,7 +48,7 @@ class SlamConfig:
         low_cost: A quick pose before tracking proper, for geometry to start from; `kind` chooses the part.
         features: Keypoints.
         places: What keyframes look like, for recognising where the camera is.
-        tracking, recovery, keyframes, mapping: ORB-SLAM2's parts.
+        tracking, recovery, keyframes, mapping, loops: ORB-SLAM2's parts.
         dense: The dense map (sieve 3); `kind` chooses the part.
         storage: What a map file keeps beside the map, where a run writes one.
     """
@@ -65,5 +66,6 @@ class SlamConfig:
     recovery: RelocalizerConfig = field(default_factory=RelocalizerConfig)
     keyframes: KeyframePolicyConfig = field(default_factory=KeyframePolicyConfig)
     mapping: LocalMapperConfig = field(default_factory=LocalMapperConfig)
+    loops: LoopsConfig = field(default_factory=LoopsConfig)
     dense: DenseMappingConfig = field(default_factory=NoDenseMapConfig, metadata={"kinds": DENSE})
     storage: MapKeeperConfig = field(default_factory=MapKeeperConfig)

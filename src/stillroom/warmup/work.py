@@ -27,6 +27,7 @@ from stillroom.evaluation.ghosts.views import DepthView, settled, sightings
 from stillroom.features.places.branch_matching import match_by_branch
 from stillroom.features.places.training import TrainingConfig, train
 from stillroom.geometry.arrays import F64
+from stillroom.optimize.reduced_system import SparseSystem
 from stillroom.protocols import MatchSieve, Pending
 from stillroom.semantics.depth_clusters import DepthClustersConfig
 from stillroom.semantics.truth import TruthConfig
@@ -47,6 +48,7 @@ def do_everything() -> None:
     """Track the made-up scene with all parts there are, and do with the maps what can be done with them."""
     slam = track()
     recognise(slam)
+    reduce_sparsely()
     cloud = correct(slam)
     draw(cloud, slam)
     paint_out(cloud, slam)
@@ -77,6 +79,13 @@ def recognise(slam: Slam) -> None:
     match_by_branch(descriptors, bag.nodes, descriptors, bag.nodes)
     index.remove(newest)
     index.add(newest, bag)
+
+
+def reduce_sparsely() -> None:
+    """Solve for one camera and one point as bundle adjustment does when there are many."""
+    starts, slots = np.array([0, 1], dtype=np.int64), np.zeros(1, dtype=np.int64)
+    H_cc, one_camera, one_point = np.eye(6)[None], np.zeros((1, 6)), np.zeros((1, 3))
+    SparseSystem(1, starts, slots).solve(H_cc, one_camera, np.ones((1, 6)), one_point, np.zeros((1, 3, 6)), 0.0)
 
 
 def correct(slam: Slam) -> DenseCloud:

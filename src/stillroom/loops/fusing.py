@@ -1,0 +1,60 @@
+"""Making one point of two when a place is seen again; the place's own points stay (ORB-SLAM2: SearchAndFuse)."""
+
+import numpy as np
+
+from stillroom.data.map import Map
+from stillroom.features.matching import NEAR_BITS, Queries, Targets, search_windows
+from stillroom.features.projection import project_points
+from stillroom.geometry import se3
+from stillroom.geometry.arrays import I32, Ints
+from stillroom.geometry.camera import Camera
+
+WINDOW_PX = 4.0
+
+
+def take_over(point_ids: I32, rows: Ints, world: Map) -> None:
+    """Let rows (M,) see points (M,): what they saw so far is replaced by them everywhere."""
+    other = world.keypoints.point[rows]
+    fresh = other < 0
+    world.observe(point_ids[fresh], rows[fresh])
+    old, new = other[~fresh], point_ids[~fresh]
+    # Each point at most once on either side, so that no chain of replacements forms.
+    _, first = np.unique(old, return_index=True)
+    keep = np.zeros(len(old), dtype=np.bool_)
+    keep[first] = True
+    keep &= ~np.isin(old, new) & (old != new)
+    world.replace_points(old[keep], new[keep])
+
+
+def fuse_place(point_ids: I32, keyframe: int, camera: Camera, world: Map) -> None:
+    """Look for the points (P,) of a place in a keyframe that lies right by now, and let it see them."""
+    rows = world.rows(keyframe)
+    table, points = world.keypoints, world.points
+    own = world.points_of(keyframe)
+    is_seen = np.zeros(len(points), dtype=np.bool_)
+    is_seen[own[own >= 0]] = True
+    ids = point_ids[~is_seen[point_ids] & points.is_alive[point_ids]]
+    projection = project_points(
+        se3.inverse(world.keyframes.T_world_cam[keyframe]),
+        camera,
+        world.scales.factors,
+        points.position_m[ids],
+        points.normal[ids],
+        points.min_distance_m[ids],
+        points.max_distance_m[ids],
+    )
+    visible = np.flatnonzero(projection.visible)
+    octave = projection.octave[visible]
+    queries = Queries(
+        projection.px[visible],
+        (WINDOW_PX * world.scales.factors[octave]).astype(np.float32),
+        octave - 1,
+        octave,
+        projection.right_px[visible],
+        points.descriptors[ids[visible]],
+    )
+    targets = Targets(
+        table.px[rows], table.octave[rows], table.right_px[rows], table.descriptors[rows], table.is_static[rows]
+    )
+    query, target = search_windows(queries, targets, max_bits=NEAR_BITS)
+    take_over(ids[visible][query], rows.start + target.astype(np.int64), world)

@@ -1,0 +1,67 @@
+"""Full bundle adjustment: all keyframes that hang together and all points that two of them see."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from stillroom.data.map import Map
+from stillroom.geometry import se3
+from stillroom.geometry.arrays import I64
+from stillroom.geometry.camera import Camera
+from stillroom.loops.moving import carry_newer, follow_keyframes
+from stillroom.optimize import measurements
+from stillroom.optimize.bundle import BundleAdjuster, BundleProblem, BundleResult
+
+
+class GlobalBundle:
+    """One full bundle adjustment in three steps, so that the map may grow during the long one in the middle.
+
+    Making it copies what it needs of the map, `solve` works on the copy, `commit` writes the outcome back. Keyframes
+    and points that came in between follow what they hang on.
+    """
+
+    def __init__(self, keyframes: I64, world: Map) -> None:
+        """Copy the keyframes (K,), the first of which holds still, and the points that several of them see."""
+        table, points = world.keypoints, world.points
+        seen = world.points_seen_by(keyframes)
+        self._points = seen[points.n_keyframes[seen] > 1]
+        place, rows = world.observations(self._points)
+        node = np.full(len(world.keyframes), -1, dtype=np.int64)
+        node[keyframes] = np.arange(len(keyframes))
+        within = node[table.keyframe[rows]] >= 0
+        self._rows, place = rows[within], place[within]
+        self._row_points = self._points[place]
+        self._keyframes, self._T_world_old = keyframes, world.keyframes.T_world_cam.copy()
+        is_fixed = np.zeros(len(keyframes), dtype=np.bool_)
+        is_fixed[0] = True
+        right_px = table.right_px[self._rows]
+        self._problem = BundleProblem(
+            T_cam_world=se3.inverse(self._T_world_old[keyframes]),
+            is_fixed=is_fixed,
+            points_world_m=points.position_m[self._points].copy(),
+            obs_keyframe=node[table.keyframe[self._rows]].astype(np.int32),
+            obs_point=place,
+            observed_px=measurements.observed_px(table.px[self._rows], right_px),
+            weights=measurements.weights(table.octave[self._rows], right_px, world.scales.inverse_variances),
+        )
+
+    def solve(self, camera: Camera, adjust: BundleAdjuster, stop: Callable[[], bool] | None = None) -> BundleResult:
+        """Adjust the copy; `stop` is asked before each step whether to end early."""
+        return adjust(self._problem, camera, stop)
+
+    def commit(self, result: BundleResult, world: Map) -> None:
+        """Write the outcome to the map, and remove observations that do not fit."""
+        keyframes, points, table = world.keyframes, world.points, world.keypoints
+        before = keyframes.T_world_cam.copy()
+        alive = keyframes.is_alive[self._keyframes]
+        alive[0] = False  # it held still; the inverse of its inverse need not be quite the same
+        keyframes.T_world_cam[self._keyframes[alive]] = se3.inverse(result.T_cam_world[alive])
+        carry_newer(len(self._T_world_old), before, world)
+        is_other = points.is_alive.copy()
+        is_other[self._points] = False
+        follow_keyframes(np.flatnonzero(is_other), before, world)
+        alive = points.is_alive[self._points]
+        points.position_m[self._points[alive]] = result.points_world_m[alive]
+        unchanged = table.point[self._rows] == self._row_points
+        world.remove_observations(self._rows[~result.is_inlier & unchanged])
+        world.refresh_geometry(np.flatnonzero(points.is_alive))

@@ -1,0 +1,187 @@
+"""Loop closing: detect, verify, correct, and take it back where it was wrong (ORB-SLAM2's third thread)."""
+
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from stillroom.data.map import Map
+from stillroom.features.places.place_memory import PlaceMemory
+from stillroom.geometry import se3
+from stillroom.geometry.camera import Camera
+from stillroom.loops.correction import close_loop
+from stillroom.loops.essential_graph import essential_edges, path_between
+from stillroom.loops.global_bundle import GlobalBundle
+from stillroom.loops.recognition.detection import DetectionConfig
+from stillroom.loops.recognition.verification import Loop, VerificationConfig
+from stillroom.loops.snapshot import Snapshot
+from stillroom.loops.verdict import LinkChange, Verdict, judge
+from stillroom.optimize.bundle import BundleConfig
+from stillroom.optimize.pose_graph import PoseGraphConfig
+
+logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class LoopsConfig:
+    """Loop closing.
+
+    Attributes:
+        enabled: Whether loops are closed; OC-SLAM was evaluated without.
+        detection, verification: What is taken for a loop.
+        drift_m, drift_rad: Error that may have gathered anywhere.
+        drift_m_per_m, drift_rad_per_m: Error that may have gathered on each metre of the shortest known way between
+            the place then and now: a look-alike that odometry puts further off is refused.
+        essential_weight: Shared points from which on two keyframes are joined in the essential graph.
+        max_lost_share: Share of the map's observations that may stop fitting through a loop; beyond it is undone.
+        max_lost_share_of_one: The same for the keyframe that suffers most.
+        min_kept_share: Share of what the loop joined that must fit afterwards.
+        abort_after: Full bundle adjustment ends early when so many keyframes have come since it began.
+        graph, bundle: The optimisers.
+    """
+
+    enabled: bool = True
+    detection: DetectionConfig = field(default_factory=DetectionConfig)
+    verification: VerificationConfig = field(default_factory=VerificationConfig)
+    drift_m: float = 0.3
+    drift_rad: float = 0.2
+    drift_m_per_m: float = 0.1
+    drift_rad_per_m: float = 0.03
+    essential_weight: int = 100
+    max_lost_share: float = 0.05
+    max_lost_share_of_one: float = 0.4
+    min_kept_share: float = 0.5
+    abort_after: int = 3
+    graph: PoseGraphConfig = field(default_factory=PoseGraphConfig)
+    bundle: BundleConfig = field(default_factory=BundleConfig)
+
+    def build(
+        self,
+        camera: Camera,
+        world: Map,
+        places: PlaceMemory,
+        seed: int = 0,
+        after: Sequence[Callable[[], None]] = (),
+    ) -> "LoopClosing":
+        """Return the loop closer of a map.
+
+        Args:
+            camera: The calibration of all keyframes.
+            world: The map.
+            places: Knows its keyframes by their looks.
+            seed: Where every random choice starts.
+            after: Called when the map has been corrected: what must follow the keyframes to where they are now.
+        """
+        return LoopCloser(self, camera, world, places, seed, after) if self.enabled else NoLoops()
+
+
+class LoopClosing(Protocol):
+    """Makes the map agree with itself when a place is seen again."""
+
+    def close(self, keyframe: int) -> bool:
+        """Look whether a keyframe, the newest, closes a loop, and correct the map; return whether it did."""
+
+
+class NoLoops:
+    """Closes none."""
+
+    def close(self, keyframe: int) -> bool:
+        """Return that there was none."""
+        return False
+
+
+class LoopCloser:
+    """Closes loops. Asked with every new keyframe, in order, after local mapping.
+
+    Attributes:
+        closed: The loops that were closed.
+        refused: Loops that were undone, with why.
+    """
+
+    def __init__(
+        self,
+        config: LoopsConfig,
+        camera: Camera,
+        world: Map,
+        places: PlaceMemory,
+        seed: int,
+        after: Sequence[Callable[[], None]],
+    ) -> None:
+        """Start without a past."""
+        self.config, self.camera, self.world, self.places = config, camera, world, places
+        self.closed: list[Loop] = []
+        self.refused: list[tuple[Loop, Verdict]] = []
+        self._detector = config.detection.build(places, world)
+        self._verifier = config.verification.build(camera, seed)
+        self._optimize, self._adjust = config.graph.build(), config.bundle.build()
+        self._after = tuple(after)
+
+    def close(self, keyframe: int) -> bool:
+        """Look whether a keyframe, the newest, closes a loop, and correct the map; return whether it did."""
+        if not self.world.keyframes.is_alive[keyframe]:
+            return False
+        for candidate in self._detector.candidates(keyframe):
+            loop = self._verifier.verify(keyframe, candidate, self.places.index, self.world)
+            if loop is not None and self._is_plausible(loop):
+                self._detector.pause(keyframe)
+                return self.correct(loop)
+        return False
+
+    def _is_plausible(self, loop: Loop) -> bool:
+        """Tell whether the map may have drifted by as much as the loop says."""
+        config, world = self.config, self.world
+        edges = essential_edges(world, int(world.covisibility.min_weight))
+        path_m = path_between(loop.keyframe, loop.candidate, edges, world)
+        T_is_should = se3.inverse(world.keyframes.T_world_cam[loop.keyframe]) @ loop.T_world_cam
+        off_m, off_rad = float(np.linalg.norm(T_is_should[:3, 3])), float(se3.angle_rad(T_is_should))
+        plausible = off_m <= config.drift_m + config.drift_m_per_m * path_m
+        plausible &= off_rad <= config.drift_rad + config.drift_rad_per_m * path_m
+        logger.info(
+            "keyframe %d looks like %d: %d of %d points, off by %.3f m and %.3f rad after %.1f m: %s",
+            loop.keyframe,
+            loop.candidate,
+            len(loop.rows),
+            loop.n_visible,
+            off_m,
+            off_rad,
+            path_m,
+            "plausible" if plausible else "refused",
+        )
+        return plausible
+
+    def correct(self, loop: Loop) -> bool:
+        """Correct the map for a loop; take it back where the map had to give up what it knew."""
+        world = self.world
+        with world.lock:
+            before = Snapshot(world)
+            correction = close_loop(loop, world, self.camera, self._optimize, self.config.essential_weight)
+            links = LinkChange.since(before, world)
+            bundle = GlobalBundle(correction.keyframes, world)
+        n_keyframes = len(world.keyframes)
+        result = bundle.solve(
+            self.camera, self._adjust, lambda: len(world.keyframes) >= n_keyframes + self.config.abort_after
+        )
+        with world.lock:
+            bundle.commit(result, world)
+            verdict = judge(before, links, world, self.camera)
+            right = self._accepts(verdict)
+            if not right:
+                before.restore(world)
+        logger.info("loop %d – %d: %s, %s", loop.keyframe, loop.candidate, verdict, "closed" if right else "undone")
+        if not right:
+            self.refused.append((loop, verdict))
+            return False
+        self.closed.append(loop)
+        for follow in self._after:
+            follow()
+        return True
+
+    def _accepts(self, verdict: Verdict) -> bool:
+        config = self.config
+        return (
+            verdict.lost_share <= config.max_lost_share
+            and verdict.worst_share <= config.max_lost_share_of_one
+            and verdict.kept_share >= config.min_kept_share
+        )

@@ -1,0 +1,60 @@
+"""Which keyframes show a place that was seen before, judging by looks (ORB-SLAM2: DetectLoop)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stillroom.data.map import Map
+from stillroom.features.places.candidates import best_places
+from stillroom.features.places.place_index import Resemblance
+from stillroom.features.places.place_memory import PlaceMemory
+from stillroom.loops.recognition.consistency import ConsistentGroups
+
+
+@dataclass(frozen=True)
+class DetectionConfig:
+    """When looks are taken for a hint (ORB-SLAM2's numbers).
+
+    Attributes:
+        pause_keyframes: None among the first so many keyframes, nor so many after a loop.
+        consistent_keyframes: A place must be met by so many keyframes in a row.
+        max_candidates: Places that are followed, and looked at more closely, for each keyframe at most.
+    """
+
+    pause_keyframes: int = 10
+    consistent_keyframes: int = 3
+    max_candidates: int = 3
+
+    def build(self, places: PlaceMemory, world: Map) -> "LoopDetector":
+        """Return the detector of a map."""
+        return LoopDetector(self, places, world)
+
+
+class LoopDetector:
+    """Asked with every new keyframe, in order."""
+
+    def __init__(self, config: DetectionConfig, places: PlaceMemory, world: Map) -> None:
+        """Start without a past."""
+        self.config, self.places, self.world = config, places, world
+        self._groups = ConsistentGroups(config.consistent_keyframes)
+        self._quiet_until = config.pause_keyframes
+
+    def candidates(self, keyframe: int) -> list[int]:
+        """Return the keyframes that showed the place before, by their looks; the likeliest first."""
+        if keyframe < self._quiet_until or keyframe not in self.places.index:
+            return []
+        neighbours = self.world.covisibility.neighbours(keyframe)
+        found = self.places.index.query(self.places.index.bag(keyframe))
+        score = np.zeros(len(self.world.keyframes))
+        score[found.keyframes] = found.scores
+        bar = float(score[neighbours].min(initial=1.0)) if neighbours else 0.0
+        elsewhere = self.world.keyframes.is_alive[found.keyframes].copy()
+        elsewhere &= ~np.isin(found.keyframes, [keyframe, *neighbours])
+        others = Resemblance(found.keyframes[elsewhere], found.scores[elsewhere], found.n_common[elsewhere])
+        alike = best_places(others, self.world.covisibility, bar)[: self.config.max_candidates]
+        return self._groups.confirmed((int(candidate) for candidate in alike), self.world.covisibility)
+
+    def pause(self, keyframe: int) -> None:
+        """Start anew a few keyframes after this one."""
+        self._groups.forget()
+        self._quiet_until = keyframe + self.config.pause_keyframes

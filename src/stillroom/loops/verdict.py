@@ -1,0 +1,100 @@
+"""Did the map have to give up what it knew to make a loop fit? Then the loop is wrong."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stillroom.data.map import Map
+from stillroom.geometry import se3
+from stillroom.geometry.arrays import F64, I64, Bool, Ints
+from stillroom.geometry.camera import Camera
+from stillroom.loops.snapshot import Snapshot
+
+_CHI2_2D, _CHI2_3D = 5.991, 7.815
+_LEAST_OBSERVATIONS = 30
+"""Of a keyframe that is judged alone."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What a correction cost.
+
+    Attributes:
+        lost_share: Share of the observations that fitted before and do not fit now.
+        worst_share: The same of the keyframe that lost most.
+        kept_share: Share of the observations that the loop added which fit now.
+    """
+
+    lost_share: float
+    worst_share: float
+    kept_share: float
+
+
+@dataclass(frozen=True)
+class LinkChange:
+    """What the joining of points changed: rows that see a point before and after, and those that see another now.
+
+    Attributes:
+        rows, points: Rows (O,) that saw a point before, and which (O,) they see now.
+        joined_rows, joined_points: Rows (J,) that see another point than before, or one for the first time.
+    """
+
+    rows: I64
+    points: I64
+    joined_rows: I64
+    joined_points: I64
+
+    @staticmethod
+    def since(before: Snapshot, world: Map) -> "LinkChange":
+        """Compare a map with what it was."""
+        now = world.keypoints.point.astype(np.int64)
+        then = np.full(len(now), -1, dtype=np.int64)
+        rows, points, _ = before.seen
+        then[rows] = points
+        kept, joined = np.flatnonzero((then >= 0) & (now >= 0)), np.flatnonzero((now >= 0) & (now != then))
+        return LinkChange(kept, now[kept], joined, now[joined])
+
+
+def judge(before: Snapshot, links: LinkChange, world: Map, camera: Camera) -> Verdict:
+    """Compare the map, corrected and adjusted, with what it was.
+
+    Args:
+        before: The map before the correction.
+        links: Who saw what when points had been joined, before bundle adjustment threw out what did not fit.
+        world: The map now.
+        camera: The calibration.
+    """
+    rows, points, positions_m = before.seen
+    fitted_before = np.zeros(len(world.keypoints), dtype=np.bool_)
+    fitted_before[rows] = fits(rows, points, before.T_world_cam, positions_m, world, camera)
+    counted = fitted_before[links.rows]
+    rows, points = links.rows[counted], links.points[counted]
+    poses, positions_m = world.keyframes.T_world_cam, world.points.position_m
+    lost = ~fits(rows, points, poses, positions_m, world, camera)
+    owner = world.keypoints.keyframe[rows]
+    n_of = np.bincount(owner, minlength=1)
+    large = n_of >= _LEAST_OBSERVATIONS
+    worst = float((np.bincount(owner, weights=lost, minlength=1)[large] / n_of[large]).max(initial=0.0))
+    kept = fits(links.joined_rows, links.joined_points, poses, positions_m, world, camera)
+    return Verdict(_mean(lost), worst, _mean(kept))
+
+
+def fits(rows: Ints, points: Ints, T_world_cam: F64, positions_m: F64, world: Map, camera: Camera) -> Bool:
+    """Tell which rows (O,) see points (O,) where poses (K, 4, 4) and positions (P, 3) [m] say that they are."""
+    table = world.keypoints
+    T_cam_world = se3.inverse(T_world_cam)[table.keyframe[rows]]
+    points_cam = np.einsum("nij,nj->ni", T_cam_world[:, :3, :3], positions_m[points]) + T_cam_world[:, :3, 3]
+    z = points_cam[:, 2]
+    ahead = z > 1e-3
+    safe = np.where(ahead, z, 1.0)
+    u = camera.fx * points_cam[:, 0] / safe + camera.cx
+    v = camera.fy * points_cam[:, 1] / safe + camera.cy
+    has_depth = table.right_px[rows] >= 0
+    error2 = (u - table.px[rows, 0]) ** 2 + (v - table.px[rows, 1]) ** 2
+    error2 += np.where(has_depth, (u - camera.bf / safe - table.right_px[rows]) ** 2, 0.0)
+    error2 *= world.scales.inverse_variances[table.octave[rows]]
+    return np.asarray(ahead & (error2 <= np.where(has_depth, _CHI2_3D, _CHI2_2D)))
+
+
+def _mean(chosen: Bool) -> float:
+    return float(chosen.mean()) if len(chosen) else 0.0

@@ -1,0 +1,149 @@
+"""Loops on a map made by hand: closed where they are right, undone where they are wrong."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+from ring_map import Ring, ring
+from small_world import CAMERA
+
+from stillroom.data.map import Map
+from stillroom.geometry import se3
+from stillroom.loops.loop_closer import LoopCloser, LoopsConfig, NoLoops
+from stillroom.loops.recognition.verification import Loop
+
+
+def closer_of(made: Ring, **changes: Any) -> LoopCloser:
+    closing = LoopsConfig(**changes).build(CAMERA, made.map, made.places)
+    assert isinstance(closing, LoopCloser)
+    return closing
+
+
+def contents(world: Map) -> dict[str, np.ndarray]:
+    tables = {"keyframes": world.keyframes, "points": world.points, "keypoints": world.keypoints}
+    found = {f"{table}.{name}": view.copy() for table, t in tables.items() for name, view in t.views.items()}
+    return found | {"covisibility": world.covisibility.edges(), "loops": np.array(world.loop_edges)}
+
+
+def check_same(world: Map, before: dict[str, np.ndarray]) -> None:
+    after = contents(world)
+    for name, values in before.items():
+        if not name.endswith("is_unsaved"):
+            np.testing.assert_array_equal(after[name], values, err_msg=name)
+
+
+def check_links(world: Map) -> None:
+    """Every list of observations holds together, and the counts say what it holds."""
+    table, points = world.keypoints, world.points
+    for point in range(len(points)):
+        rows, row = [], int(points.first_row[point])
+        while row >= 0:
+            rows.append(row)
+            row = int(table.next_row[row])
+        assert (table.point[rows] == point).all()
+        assert points.n_keyframes[point] == len(rows) == len(set(table.keyframe[rows].tolist()))
+        assert points.n_observations[point] == sum(2 if table.right_px[r] >= 0 else 1 for r in rows)
+    assert (np.bincount(table.point[table.point >= 0], minlength=len(points)) == points.n_keyframes).all()
+
+
+def run(made: Ring, closer: LoopCloser) -> list[int]:
+    return [k for k in range(len(made.T_true)) if closer.close(k)]
+
+
+@dataclass
+class Closed:
+    """A ring before and after its loop was closed."""
+
+    made: Ring
+    closer: LoopCloser
+    T_world_before: np.ndarray
+    errors_before_m: np.ndarray
+    n_closed: int
+    followed: list[float]
+
+
+@pytest.fixture(scope="module")
+def closed() -> Closed:
+    made = ring()
+    followed: list[float] = []
+    closer = LoopsConfig().build(
+        CAMERA, made.map, made.places, after=(lambda: followed.append(made.errors_m().mean()),)
+    )
+    assert isinstance(closer, LoopCloser)
+    poses, errors_m = made.map.keyframes.T_world_cam.copy(), made.errors_m()
+    return Closed(made, closer, poses, errors_m, len(run(made, closer)), followed)
+
+
+def test_a_loop_is_found_and_the_whole_map_put_right(closed: Closed) -> None:
+    made, world = closed.made, closed.made.map
+    assert closed.n_closed == 1
+    loop = closed.closer.closed[0]
+    assert np.linalg.norm(made.T_true[loop.keyframe, :3, 3] - made.T_true[loop.candidate, :3, 3]) < 1.5
+    assert closed.errors_before_m.mean() > 0.4
+    assert made.errors_m().mean() < 0.02
+    assert closed.followed == [pytest.approx(made.errors_m().mean())]
+    assert world.loop_edges == [(loop.candidate, loop.keyframe)]
+    check_links(world)
+    # The place is one place now: keyframes of both rounds share points, and the points lie where they are.
+    assert loop.candidate in world.covisibility.neighbours(loop.keyframe)
+    T_true_world = made.T_true[0] @ se3.inverse(world.keyframes.T_world_cam[0])
+    number = made.small.number_of()
+    seen = np.flatnonzero((number >= 0) & world.points.is_alive & (world.points.n_keyframes > 2))
+    off = se3.transform(T_true_world, world.points.position_m[seen]) - made.small.world.points_m[number[seen]]
+    assert np.median(np.linalg.norm(off, axis=1)) < 0.03
+
+
+def test_the_pose_that_verification_finds_is_the_true_one(closed: Closed) -> None:
+    loop, made = closed.closer.closed[0], closed.made
+    T_true = se3.inverse(made.T_true[loop.candidate]) @ made.T_true[loop.keyframe]
+    error = se3.inverse(T_true) @ se3.inverse(closed.T_world_before[loop.candidate]) @ loop.T_world_cam
+    assert np.linalg.norm(error[:3, 3]) < 0.02
+    assert float(se3.angle_rad(error)) < 0.005
+    assert len(loop.rows) >= 40
+    assert (made.map.keypoints.keyframe[loop.rows] == loop.keyframe).all()
+
+
+def test_the_same_loop_again_gives_the_same_map_bit_for_bit(closed: Closed) -> None:
+    made = ring()
+    run(made, closer_of(made))
+    for name, values in contents(closed.made.map).items():
+        np.testing.assert_array_equal(contents(made.map)[name], values, err_msg=name)
+
+
+def test_a_loop_that_odometry_rules_out_is_refused_and_nothing_is_touched() -> None:
+    made = ring()
+    before = contents(made.map)
+    closer = closer_of(made, drift_m=0.1, drift_m_per_m=0.001)
+    assert run(made, closer) == []
+    check_same(made.map, before)
+
+
+def false_loop(made: Ring, keyframe: int, candidate: int) -> Loop:
+    """A keyframe that is said to see what another one sees, near where it would be seen from there."""
+    world = made.map
+    T_world_cam = world.keyframes.T_world_cam[candidate] @ se3.exp(np.array([0.1, 0.0, 0.1, 0.0, 0.05, 0.0]))
+    own = world.points_of(candidate)
+    points = own[own >= 0]
+    px = CAMERA.project(se3.transform(se3.inverse(T_world_cam), world.points.position_m[points]))
+    rows = np.arange(world.rows(keyframe).start, world.rows(keyframe).stop)
+    nearest = np.linalg.norm(world.keypoints.px[rows][None] - px[:, None], axis=2).argmin(axis=1)
+    _, once = np.unique(nearest, return_index=True)
+    return Loop(keyframe, candidate, T_world_cam, rows[nearest[once]], points[once].astype(np.int32), len(once))
+
+
+@pytest.mark.parametrize(("keyframe", "candidate"), [(20, 4), (29, 20)])
+def test_a_wrong_loop_is_undone_to_the_last_bit(keyframe: int, candidate: int) -> None:
+    made = ring(n=30, laps=0.5, drift_m=0.0, drift_rad=0.0)
+    before = contents(made.map)
+    closer = closer_of(made)
+    assert not closer.correct(false_loop(made, keyframe, candidate))
+    check_same(made.map, before)
+    assert len(closer.refused) == 1
+    assert not closer.closed
+
+
+def test_switched_off_nothing_is_closed() -> None:
+    made = ring(n=20, laps=0.3)
+    assert isinstance(LoopsConfig(enabled=False).build(CAMERA, made.map, made.places), NoLoops)
+    assert not NoLoops().close(3)

@@ -55,6 +55,11 @@ COMMANDS = (
         "Paint what moves out of a sequence, from what the last keyframes saw behind it.",
     ),
     Command("export", "stillroom.cli.export:export", "Turn the dense map of a run into files for other programs."),
+    Command(
+        "map",
+        "stillroom.cli.map:app",
+        "Say what a map file holds, check it, and turn it into files for other programs.",
+    ),
     Command("methods", "stillroom.cli.describe.methods:methods", "List the methods."),
     Command(
         "show-config", "stillroom.cli.describe.show_config:show_config", "Print the configuration of a method as TOML."

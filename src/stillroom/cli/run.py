@@ -12,9 +12,22 @@ from stillroom.errors import ConfigError
 if TYPE_CHECKING:
     from stillroom.config import SlamConfig
     from stillroom.pipeline import RunOutcome, Source
+    from stillroom.pipeline.maps.use import MapFile
 
 INTERRUPTED = 130
 SYNTHETIC = "synthetic"
+
+
+Map = Annotated[
+    Path | None,
+    typer.Option("--map", metavar="FILE", help="Keep the map in this new file, such as room.stillmap, as it grows."),
+]
+Continue = Annotated[
+    bool, typer.Option("--continue", help="Go on in the map of --map: begin by recognising the place.")
+]
+Localize = Annotated[
+    bool, typer.Option("--localize", help="Track against the map of --map as it is; nothing is written into it.")
+]
 
 
 class ScheduleName(StrEnum):
@@ -39,6 +52,10 @@ def run(
     detector_off: Annotated[
         list[str] | None, typer.Option(metavar="A:B", help="Let the detector find nothing in these; repeatable.")
     ] = None,
+    reverse: Annotated[bool, typer.Option("--reverse", help="Play backwards what these leave.")] = False,
+    map_: Map = None,
+    continue_: Continue = False,
+    localize: Localize = False,
     seed: Seed = None,
     schedule: Annotated[
         ScheduleName, typer.Option(help="in-order: the same input gives the same bytes; live is not there yet.")
@@ -64,6 +81,8 @@ def run(
 
         stillroom run rgbd_bonn_crowd --method oc-slam
         stillroom run synthetic:walking --frames 0:90 --set semantics.kind=truth
+        stillroom run rgbd_bonn_crowd --frames :200 --map room.stillmap
+        stillroom run rgbd_bonn_crowd --frames 200: --map room.stillmap --localize
     """
     if schedule is ScheduleName.LIVE:
         raise ConfigError("--schedule live is not in this version; leave it out, or say in-order")
@@ -71,8 +90,25 @@ def run(
     from stillroom.pipeline import Source
 
     chosen = configure(method, config, settings or (), seed)
-    source = Source(sequence, camera, fps, frames, tuple(drop or ()), tuple(blackout or ()))
-    _track(chosen, source, out, pictures, tuple(detector_off or ()), schedule)
+    source = Source(sequence, camera, fps, frames, tuple(drop or ()), tuple(blackout or ()), reverse)
+    map_file = _map_file(map_, continue_, localize)
+    _track(chosen, source, out, pictures, tuple(detector_off or ()), schedule, map_file)
+
+
+def _map_file(path: Path | None, continue_: bool, localize: bool) -> "MapFile | None":
+    """Return what is to be done with which map file; one that cannot be used so is told now."""
+    from stillroom.pipeline.maps.use import MapFile, MapUse
+
+    if path is None:
+        if continue_ or localize:
+            flag = "--continue" if continue_ else "--localize"
+            raise ConfigError(f"{flag} needs a map: name its file with --map")
+        return None
+    if continue_ and localize:
+        raise ConfigError("--continue goes on in a map and --localize leaves it as it is; leave one of them out")
+    map_file = MapFile(path, MapUse.CONTINUE if continue_ else MapUse.LOCALIZE if localize else MapUse.NEW)
+    map_file.require_usable()
+    return map_file
 
 
 def _track(
@@ -82,6 +118,7 @@ def _track(
     pictures: int,
     detector_off: tuple[str, ...],
     schedule: ScheduleName,
+    map_file: "MapFile | None",
 ) -> None:
     from stillroom.cli.output.console import STDERR, say, show_log
     from stillroom.cli.output.progress import RunBar
@@ -99,7 +136,8 @@ def _track(
         detector_off=detector_ranges(detector_off, dataset),
         segmenter=chosen.semantics.build(),  # now: what is absent is told before kernels are compiled
         source=source,
-        asked={"schedule": schedule.value},
+        asked={"schedule": schedule.value, **(map_file.described() if map_file else {})},
+        map=map_file,
     )
     say(f"{chosen.method} on {dataset.name}: {len(dataset)} images; camera: {dataset.camera_source}")
     ensure_warm(STDERR, source.sequence.startswith(SYNTHETIC))
@@ -139,6 +177,8 @@ def _sentences(outcome: "RunOutcome") -> list[str]:
         rate = 1000.0 / cost.wall_mean_ms
         text += f"; a frame took {cost.wall_median_ms:.1f} ms (median), {rate:.1f} frames/s on average"
     sentences.append(text)
+    if outcome.map_file is not None:
+        sentences.append(f"map file: {outcome.map_file}")
     if outcome.folder is not None:
         sentences.append(f"results: {outcome.folder}")
     return sentences

@@ -22,6 +22,7 @@ class RunOutcome:
         interrupted: Whether it was stopped before the last image.
         bad: Number and time [s] of each image that cannot be read.
         pictures: What was drawn.
+        map_file: Where the map was kept; None where it was not.
     """
 
     method: str
@@ -33,6 +34,7 @@ class RunOutcome:
     interrupted: bool = False
     bad: list[tuple[int, float]] = field(default_factory=list)
     pictures: tuple[Path, ...] = ()
+    map_file: Path | None = None
 
     @property
     def n_bad(self) -> int:
@@ -41,5 +43,10 @@ class RunOutcome:
 
     @property
     def n_tracked(self) -> int:
-        """Images that have a pose."""
-        return sum(result.T_world_cam is not None for result in self.slam.results)
+        """Images that have a pose; those in sub-maps that were never joined have none in the trajectory."""
+        return sum(result.T_world_cam is not None for result in self.slam.results) - self.n_apart
+
+    @property
+    def n_apart(self) -> int:
+        """Images that were tracked in sub-maps that were never joined with the main one."""
+        return len(self.slam.apart())

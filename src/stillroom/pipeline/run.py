@@ -65,7 +65,7 @@ def _run(
         config, dataset.camera, segmenter, observer=newest, clock=clock, world=opened.world, keeper=opened.keeper
     )
     folder = _folder(dataset, config, options)
-    outcome = RunOutcome(config.method, folder, slam, clock)
+    outcome = RunOutcome(config.method, folder, slam, clock, map_file=opened.written)
     if folder is not None:
         results.write_config(folder, dataset, config, options)
     with (

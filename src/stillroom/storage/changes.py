@@ -26,6 +26,7 @@ class Changes:
         """Take everything as not written yet."""
         self._world = world
         self._known = _Poses.of(world, 0)
+        self._loops: list[tuple[int, int]] = []
         self.expect_all()
         world.keyframes.is_unsaved[:] = True
         world.covisibility.unsaved.update(range(len(world.keyframes)))
@@ -34,6 +35,7 @@ class Changes:
         """Take everything as written."""
         world = self._world
         self._known = _Poses.of(world, len(world.keyframes))
+        self._loops = list(world.loop_edges)
         world.points.is_unsaved[:] = False
         world.keyframes.is_unsaved[:] = False
         world.covisibility.unsaved.clear()
@@ -49,22 +51,27 @@ class Changes:
         self._write_observations(database, present)
         self._write_points(database)
         self._write_edges(database)
+        self._write_loops(database)
         self._known = present
 
     def _write_keyframes(self, database: sqlite3.Connection, present: "_Poses") -> None:
         table, keypoints, n_known = self._world.keyframes, self._world.keypoints, len(self._known)
         for k in range(n_known, len(present)):
-            row = (k, 0, float(table.timestamp_s[k]), int(table.image_index[k]), *present.row(k), int(table.n_rows[k]))
-            insert(database, "keyframes", [row])
-            if present.is_alive[k]:
-                rows = self._world.rows(k)
-                blobs = [packed.pack(getattr(keypoints, name)[rows]) for name, packed in KEYPOINTS.items()]
-                insert(database, "keypoints", [(k, *blobs)])
-        update = "UPDATE keyframes SET is_alive = ?, parent = ?, T_world_cam = ?, T_parent_cam = ? WHERE keyframe = ?"
+            row = float(table.timestamp_s[k]), int(table.image_index[k]), int(table.n_rows[k])
+            insert(database, "keyframes", [(k, *row, *present.row(k))])
+        update = (
+            "UPDATE keyframes SET submap = ?, is_alive = ?, parent = ?, T_world_cam = ?, T_parent_cam = ?"
+            " WHERE keyframe = ?"
+        )
         database.executemany(update, [(*present.row(k), k) for k in present.differing(self._known)])
-        # Of a culled keyframe only its place is kept.
-        culled = np.flatnonzero(self._known.is_alive & ~present.is_alive[:n_known])
-        database.executemany("DELETE FROM keypoints WHERE keyframe = ?", [(k,) for k in culled.tolist()])
+        # Of a culled keyframe only its place is kept; a loop that is undone may bring it back.
+        was_alive = np.append(self._known.is_alive, np.zeros(len(present) - n_known, dtype=np.bool_))
+        culled = np.flatnonzero(was_alive & ~present.is_alive)
+        database.executemany("DELETE FROM keypoints WHERE keyframe = ?", [(int(k),) for k in culled])
+        for k in np.flatnonzero(present.is_alive & ~was_alive).tolist():
+            rows = self._world.rows(k)
+            blobs = [packed.pack(getattr(keypoints, name)[rows]) for name, packed in KEYPOINTS.items()]
+            insert(database, "keypoints", [(k, *blobs)])
 
     def _write_observations(self, database: sqlite3.Connection, present: "_Poses") -> None:
         table = self._world.keypoints
@@ -102,6 +109,13 @@ class Changes:
             edges = [(min(k, other), max(k, other), weight) for other, weight in graph.edges_of(k).items()]
             insert(database, "covisibility", edges)
 
+    def _write_loops(self, database: sqlite3.Connection) -> None:
+        loops = self._world.loop_edges
+        if loops != self._loops:
+            database.execute("DELETE FROM loops")
+            insert(database, "loops", [(place, int(known), int(back)) for place, (known, back) in enumerate(loops)])
+            self._loops = list(loops)
+
 
 def insert(database: sqlite3.Connection, table: str, rows: Iterable[tuple[Any, ...]]) -> None:
     """Write rows into a table, over those of the same key."""
@@ -115,6 +129,7 @@ def insert(database: sqlite3.Connection, table: str, rows: Iterable[tuple[Any, .
 class _Poses:
     """A copy of what may change of the keyframes themselves; K of them."""
 
+    submap: I32
     is_alive: Bool
     parent: I32
     T_world_cam: F64
@@ -124,21 +139,22 @@ class _Poses:
     def of(cls, world: Map, n: int) -> "_Poses":
         """Copy those of the first `n` keyframes."""
         table = world.keyframes
-        is_alive, parent = table.is_alive[:n].copy(), table.parent[:n].copy()
-        return cls(is_alive, parent, table.T_world_cam[:n].copy(), table.T_parent_cam[:n].copy())
+        submap, is_alive, parent = table.submap[:n].copy(), table.is_alive[:n].copy(), table.parent[:n].copy()
+        return cls(submap, is_alive, parent, table.T_world_cam[:n].copy(), table.T_parent_cam[:n].copy())
 
     def __len__(self) -> int:
         return len(self.parent)
 
-    def row(self, k: int) -> tuple[int, int, bytes, bytes]:
+    def row(self, k: int) -> tuple[int, int, int, bytes, bytes]:
         """Return the values of a keyframe as they are stored."""
         poses = POSES.pack(self.T_world_cam[k]), POSES.pack(self.T_parent_cam[k])
-        return int(self.is_alive[k]), int(self.parent[k]), *poses
+        return int(self.submap[k]), int(self.is_alive[k]), int(self.parent[k]), *poses
 
     def differing(self, earlier: "_Poses") -> list[int]:
         """Return which of the earlier keyframes are not as they were."""
         n = len(earlier)
         changed = (self.is_alive[:n] != earlier.is_alive) | (self.parent[:n] != earlier.parent)
+        changed |= self.submap[:n] != earlier.submap
         for now, before in ((self.T_world_cam, earlier.T_world_cam), (self.T_parent_cam, earlier.T_parent_cam)):
             changed |= np.any(now[:n] != before, axis=(1, 2))
         return [int(k) for k in np.flatnonzero(changed)]

@@ -20,11 +20,11 @@ def check_map(path: Path) -> list[str]:
         MapError: There is no such file, it is no map, of a newer version, or cut short.
     """
     with reading(path) as database:
-        said = [str(row[0]) for row in database.execute("PRAGMA integrity_check")]
+        said = [line for row in database.execute("PRAGMA integrity_check") for line in str(row[0]).splitlines()]
     if said != ["ok"]:
         return [f"SQLite: {line}" for line in said]
     try:
-        stored = load_map(path)
+        stored = load_map(path, whole=False)
     except MapError as error:
         return [str(error).removeprefix(f"{path}: ")]
     return [*problems_of_map(stored.world), *_problems_of_rest(stored)]

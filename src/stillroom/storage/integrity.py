@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from stillroom.data.map import Map
-from stillroom.geometry.arrays import F64, I64, Bool
+from stillroom.geometry.arrays import F64, I64, Bool, Floats
 
 RIGID = 1e-6
 """How far a rotation may be from one whose columns are of length 1 and at right angles."""
@@ -17,6 +17,7 @@ def problems_of_map(world: Map) -> Iterator[str]:
     yield from _problems_of_links(world)
     yield from _problems_of_points(world)
     yield from _problems_of_covisibility(world)
+    yield from _problems_of_loops(world)
 
 
 def _problems_of_keyframes(world: Map) -> Iterator[str]:
@@ -27,7 +28,7 @@ def _problems_of_keyframes(world: Map) -> Iterator[str]:
         yield from (f"culled keyframe {k} hangs on no living one" for k in _hanging_nowhere(world))
     poses = np.where(table.is_alive[:, None, None], table.T_world_cam, table.T_parent_cam)
     yield from (f"the pose of keyframe {k} is not rigid" for k in np.flatnonzero(~are_rigid(poses)))
-    yield from (f"the time of keyframe {k} is not finite" for k in np.flatnonzero(~np.isfinite(table.timestamp_s)))
+    yield from (f"the time of keyframe {k} is not finite" for k in _not_finite(table.timestamp_s))
 
 
 def _hanging_nowhere(world: Map) -> I64:
@@ -92,15 +93,25 @@ def _problems_of_points(world: Map) -> Iterator[str]:
     points, table = world.points, world.keypoints
     alive = np.flatnonzero(points.is_alive)
     for name in ("position_m", "normal", "min_distance_m", "max_distance_m"):
-        is_finite = np.isfinite(getattr(points, name)[alive]).reshape(len(alive), -1).all(axis=1)
-        yield from (f"{name} of point {i} is not finite" for i in alive[~is_finite])
+        yield from (f"{name} of point {i} is not finite" for i in alive[_not_finite(getattr(points, name)[alive])])
     for name in ("px", "angle_rad", "right_px", "depth_m"):
-        is_finite = np.isfinite(getattr(table, name)).reshape(len(table), -1).all(axis=1)
-        yield from (f"{name} of keypoint row {row} is not finite" for row in np.flatnonzero(~is_finite))
+        yield from (f"{name} of keypoint row {row} is not finite" for row in _not_finite(getattr(table, name)))
     yield from (
         f"keypoint row {row} is of pyramid level {table.octave[row]}, which does not exist"
         for row in np.flatnonzero((table.octave < 0) | (table.octave >= world.scales.count))
     )
+
+
+def _problems_of_loops(world: Map) -> Iterator[str]:
+    n = len(world.keyframes)
+    for known, returned in world.loop_edges:
+        if not (0 <= known < n and 0 <= returned < n):
+            yield f"a loop joins keyframes {known} and {returned}, which do not both exist"
+
+
+def _not_finite(column: Floats) -> I64:
+    """Return the rows that hold a number that is not finite."""
+    return np.flatnonzero(~np.isfinite(column).all(axis=tuple(range(1, column.ndim))))
 
 
 def _problems_of_covisibility(world: Map) -> Iterator[str]:

@@ -92,10 +92,28 @@ def reading(path: Path) -> Iterator[sqlite3.Connection]:
     how = "mode=ro" if _has_log(path) else "mode=ro&immutable=1"
     with naming(path):
         connection = sqlite3.connect(f"{path.resolve().as_uri()}?{how}", uri=True)
+        connection.text_factory = _text
         try:
             yield connection
         finally:
             connection.close()
+
+
+def require_unused(path: Path) -> None:
+    """See to it that a new map can have this name.
+
+    Raises:
+        MapError: There is a file of this name, or the log of a map that had it.
+    """
+    if path.is_dir():
+        raise MapError(f"{path}: is a folder; a map is a file, such as {path / f'room{SUFFIX}'}")
+    if path.exists():
+        raise MapError(
+            f"{path}: exists already; go on in it with --continue, track against it with --localize, "
+            "or choose another name"
+        )
+    if log_of(path).exists():
+        raise MapError(f"{log_of(path)}: belongs to a map that is gone; remove it, or choose another name")
 
 
 def create(path: Path) -> sqlite3.Connection:
@@ -104,17 +122,11 @@ def create(path: Path) -> sqlite3.Connection:
     Raises:
         MapError: There is a file of this name already, or it cannot be made.
     """
-    if path.exists():
-        raise MapError(
-            f"{path}: exists already; go on in it with --continue, track against it with --localize, "
-            "or choose another name"
-        )
-    if log_of(path).exists():
-        raise MapError(f"{log_of(path)}: belongs to a map that is gone; remove it, or choose another name")
+    require_unused(path)
     unfinished = path.with_name(f"{path.name}.{os.getpid()}.new")
-    try:
-        with naming(path):
-            path.parent.mkdir(parents=True, exist_ok=True)
+    with naming(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
             connection = sqlite3.connect(unfinished, isolation_level=None)
             connection.executescript(
                 f"PRAGMA page_size = {PAGE_BYTES}; PRAGMA application_id = {APPLICATION_ID};"
@@ -122,8 +134,8 @@ def create(path: Path) -> sqlite3.Connection:
             )
             connection.close()
             unfinished.replace(path)
-    finally:
-        unfinished.unlink(missing_ok=True)
+        finally:
+            unfinished.unlink(missing_ok=True)
     return open_to_write(path)
 
 
@@ -177,7 +189,7 @@ def naming(path: Path) -> Iterator[None]:
         if "locked" in str(error):
             raise MapError(f"{path}: is in use by another run; wait for its end, or choose another map") from error
         raise MapError(f"{path}: {error}") from error
-    except sqlite3.DatabaseError as error:
+    except (sqlite3.DatabaseError, UnicodeDecodeError) as error:  # what SQLite quotes of a damaged file may be no text
         raise MapError(f"{path}: is damaged ({error}); 'stillroom map check {path}' says more") from error
     except OSError as error:
         raise MapError(f"{path}: cannot be written ({error.strerror})") from error
@@ -188,3 +200,7 @@ def _has_log(path: Path) -> bool:
         return log_of(path).stat().st_size > 0
     except OSError:
         return False
+
+
+def _text(content: bytes) -> str:
+    return content.decode("utf-8", errors="replace")

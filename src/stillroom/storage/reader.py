@@ -12,23 +12,34 @@ from stillroom.data.image import RgbdImage
 from stillroom.data.map import Map
 from stillroom.errors import CalibrationError, MapError
 from stillroom.geometry.camera import Camera
+from stillroom.storage.integrity import problems_of_map
 from stillroom.storage.opening import reading
 from stillroom.storage.pictures import Pictures, restore
 from stillroom.storage.schema import KEYPOINTS, OBSERVATIONS, POINT_IDS, POINTS, POSES, Packed
 from stillroom.storage.stored import FrameNote, Session, StoredMap, VocabularyReference
 
 
-def load_map(path: Path) -> StoredMap:
+def load_map(path: Path, whole: bool = True) -> StoredMap:
     """Return what a map file holds.
+
+    Args:
+        path: The file.
+        whole: Whether a map must be sound to be returned.
 
     Raises:
         MapError: There is no such file, it is no map, of a newer version, cut short or damaged.
     """
     with reading(path) as database:
         try:
-            return _read(database)
+            stored = _read(database)
         except MapError as error:
             raise MapError(f"{path}: {error}") from error
+        except (TypeError, ValueError, OverflowError) as error:  # a number where an array should be, and the like
+            raise MapError(f"{path}: is damaged ({error}); 'stillroom map check {path}' says more") from error
+    # What refers to something that is not there would crash a run, or hang it.
+    for problem in problems_of_map(stored.world) if whole else ():
+        raise MapError(f"{path}: is damaged: {problem}; 'stillroom map check {path}' says more")
+    return stored
 
 
 def keyframe_images(path: Path) -> Iterator[tuple[int, RgbdImage]]:
@@ -57,6 +68,7 @@ def _read(database: sqlite3.Connection) -> StoredMap:
     _read_points(database, world, head["n_points"])
     edges = database.execute("SELECT older, newer, weight FROM covisibility ORDER BY older, newer").fetchall()
     world.covisibility.restore(np.array(edges, dtype=np.int32).reshape(-1, 3))
+    world.loop_edges[:] = database.execute("SELECT known, returned FROM loops ORDER BY place").fetchall()
     sessions = database.execute(
         "SELECT first_keyframe, started, stillroom, source_commit, sequence, method, seed, config FROM sessions"
         " ORDER BY session"
@@ -99,12 +111,14 @@ def _camera(head: dict[str, Any]) -> Camera:
 
 def _read_keyframes(database: sqlite3.Connection, world: Map) -> None:
     keyframes = database.execute(
-        "SELECT keyframe, timestamp_s, image_index, is_alive, parent, T_world_cam, T_parent_cam, n_keypoints"
+        "SELECT keyframe, timestamp_s, image_index, n_keypoints, submap, is_alive, parent, T_world_cam, T_parent_cam"
         " FROM keyframes ORDER BY keyframe"
     ).fetchall()
     if not keyframes:
         return
-    ids, timestamp_s, image_index, is_alive, parent, T_world_cam, T_parent_cam, n_rows = zip(*keyframes, strict=True)
+    ids, timestamp_s, image_index, n_rows, submap, is_alive, parent, T_world_cam, T_parent_cam = zip(
+        *keyframes, strict=True
+    )
     if ids != tuple(range(len(ids))):
         raise MapError("keyframes are missing; the map is damaged")
     first_row = np.cumsum((0, *n_rows))
@@ -112,6 +126,7 @@ def _read_keyframes(database: sqlite3.Connection, world: Map) -> None:
         len(ids),
         timestamp_s=timestamp_s,
         image_index=image_index,
+        submap=submap,
         is_alive=is_alive,
         parent=parent,
         T_world_cam=POSES.unpack(b"".join(T_world_cam), len(ids), "the poses of keyframes"),
@@ -154,3 +169,13 @@ def _read_points(database: sqlite3.Connection, world: Map, n_points: int) -> Non
     points.is_alive[ids] = True
     for (name, packed), blob in zip(POINTS.items(), columns, strict=True):
         getattr(points, name)[ids] = packed.unpack(blob, len(ids), f"{name} of points")
+
+
+def count_images(path: Path) -> int:
+    """Return of how many keyframes images were kept.
+
+    Raises:
+        MapError: As for `load_map`.
+    """
+    with reading(path) as database:
+        return int(database.execute("SELECT count(*) FROM images").fetchone()[0])

@@ -36,11 +36,9 @@ CREATE TABLE sessions (
 );
 CREATE TABLE keyframes (
     keyframe INTEGER PRIMARY KEY,
-    submap INTEGER NOT NULL,
-    timestamp_s REAL NOT NULL, image_index INTEGER NOT NULL,
-    is_alive INTEGER NOT NULL, parent INTEGER NOT NULL,
-    T_world_cam BLOB NOT NULL, T_parent_cam BLOB NOT NULL,
-    n_keypoints INTEGER NOT NULL
+    timestamp_s REAL NOT NULL, image_index INTEGER NOT NULL, n_keypoints INTEGER NOT NULL,
+    submap INTEGER NOT NULL, is_alive INTEGER NOT NULL, parent INTEGER NOT NULL,
+    T_world_cam BLOB NOT NULL, T_parent_cam BLOB NOT NULL
 );
 CREATE TABLE keypoints (
     keyframe INTEGER PRIMARY KEY,
@@ -64,6 +62,10 @@ CREATE TABLE covisibility (
     PRIMARY KEY (older, newer)
 ) WITHOUT ROWID;
 CREATE INDEX covisibility_newer ON covisibility (newer);
+CREATE TABLE loops (
+    place INTEGER PRIMARY KEY,
+    known INTEGER NOT NULL, returned INTEGER NOT NULL
+);
 CREATE TABLE frames (
     session INTEGER NOT NULL, image_index INTEGER NOT NULL,
     timestamp_s REAL NOT NULL, reference_keyframe INTEGER NOT NULL, T_reference_cam BLOB NOT NULL,

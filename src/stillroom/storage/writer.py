@@ -33,13 +33,13 @@ def save_map(path: Path, stored: StoredMap) -> None:
 class MapWriter:
     """Keeps a file in step with a map. As a context, it leaves one whole file behind; after an error, the last commit.
 
-    Calls may come from any thread, one at a time, and the map must not change while one is under way.
+    Calls may come from any thread, one at a time; they hold the map's lock while they read it.
     """
 
-    def __init__(self, connection: sqlite3.Connection, path: Path, changes: Changes) -> None:
+    def __init__(self, connection: sqlite3.Connection, path: Path, world: Map, changes: Changes) -> None:
         """Write on an open connection; `create` and `go_on` make one."""
         self.path = path
-        self._connection, self._changes = connection, changes
+        self._connection, self._world, self._changes = connection, world, changes
         self._is_open = True
 
     @classmethod
@@ -55,7 +55,7 @@ class MapWriter:
         depth = camera.depth_factor, camera.bf
         scales = world.scales.factor, world.scales.count
         head = (1, *sizes, *camera.distortion, *depth, *scales, *astuple(vocabulary), 0)
-        writer = cls(opening.create(path), path, Changes(world))
+        writer = cls(opening.create(path), path, world, Changes(world))
         with writer._transaction() as database:
             insert(database, "map", [head])
         return writer
@@ -69,7 +69,7 @@ class MapWriter:
         """
         changes = Changes(world)
         changes.forget()
-        return cls(opening.open_to_write(path), path, changes)
+        return cls(opening.open_to_write(path), path, world, changes)
 
     def begin(self, session: Session) -> int:
         """Note that a session begins; return its number."""
@@ -88,7 +88,7 @@ class MapWriter:
         Raises:
             MapError: The disk is full, or the like. The file then holds the last commit.
         """
-        with self._transaction() as database:
+        with self._world.lock, self._transaction() as database:
             self._changes.write(database)
             insert(database, "frames", map(_row, frames))
             if pictures is not None:

@@ -72,7 +72,9 @@ class Covisibility:
 
     def restore(self, edges: Ints) -> None:
         """Take the edges (E, 3) that `edges` once returned in place of those there are."""
+        self.unsaved.update(self._weights)
         self._weights, self._ordered = {}, {}
         for a, b, weight in edges.tolist():
             self._weights.setdefault(a, {})[b] = weight
             self._weights.setdefault(b, {})[a] = weight
+        self.unsaved.update(self._weights)

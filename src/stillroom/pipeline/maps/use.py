@@ -14,6 +14,7 @@ from stillroom.geometry.camera import Camera
 from stillroom.pipeline.provenance import provenance
 from stillroom.protocols import Dataset
 from stillroom.storage.keeper import MapKeeper
+from stillroom.storage.opening import inspect, require_unused
 from stillroom.storage.reader import load_map
 from stillroom.storage.stored import Session, StoredMap
 from stillroom.storage.writer import MapWriter
@@ -37,14 +38,31 @@ class MapFile:
     path: Path
     use: MapUse = MapUse.NEW
 
+    def described(self) -> dict[str, str]:
+        """Return what config.toml says of it."""
+        return {"map": str(self.path), "map_use": self.use.value}
+
+    def require_usable(self) -> None:
+        """See to it that the file is there, or is not there yet, as its use asks; it is not touched.
+
+        Raises:
+            MapError: It is not so.
+        """
+        if self.use is MapUse.NEW:
+            require_unused(self.path)
+        else:
+            inspect(self.path)
+
     def fitting(self, config: SlamConfig) -> SlamConfig:
-        """Return the config of a run on this file: one that only tracks makes no keyframes, and no dense map."""
+        """Return the config of a run on this file: one that only tracks adds nothing to the map and moves nothing."""
         if self.use is not MapUse.LOCALIZE:
             return config
         return replace(
             config,
             keyframes=replace(config.keyframes, enabled=False),
             mapping=replace(config.mapping, max_final_keyframes=0),
+            recovery=replace(config.recovery, patience=0),
+            loops=replace(config.loops, enabled=False),
             dense=NoDenseMapConfig(),
         )
 
@@ -56,10 +74,12 @@ class OpenedMap:
     Attributes:
         world: The map in it; None for a run that keeps no map.
         keeper: Writes it; None where nothing is written.
+        written: The file, where it is written.
     """
 
     world: Map | None = None
     keeper: MapKeeper | None = None
+    written: Path | None = None
 
     @contextmanager
     def completed(self) -> Iterator[None]:
@@ -89,11 +109,9 @@ def opened_map(file: MapFile | None, config: SlamConfig, dataset: Dataset) -> It
         stored = _loaded(file.path, config)
         _require_camera(file.path, stored.camera, dataset)
         world, writer = stored.world, MapWriter.go_on(file.path, stored.world)
-    keeper = None
     try:
         number = writer.begin(_session(world, config, dataset))
-        keeper = config.storage.build(writer, number, dataset.camera)
-        yield OpenedMap(world, keeper)
+        yield OpenedMap(world, config.storage.build(writer, number, dataset.camera), file.path)
     finally:
         writer.abandon()
 

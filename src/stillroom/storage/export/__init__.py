@@ -1,0 +1,1 @@
+"""A map file as files for other programs."""

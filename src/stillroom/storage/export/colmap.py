@@ -1,0 +1,107 @@
+"""The map as COLMAP's text model (colmap.github.io/format.html): cameras.txt, images.txt, points3D.txt.
+
+COLMAP counts from 1, puts the centre of the upper left pixel at (0.5, 0.5) and stores `T_cam_world`. The keypoints of a
+map are undistorted, so the camera is a pinhole; images for it must be undistorted too.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from stillroom.data.map import Map, submaps
+from stillroom.geometry import se3
+from stillroom.geometry.arrays import F64, I64, U8
+from stillroom.geometry.camera import Camera
+from stillroom.storage.stored import StoredMap
+
+GREY = 128
+_CAMERA_ID = 1
+
+
+@dataclass(frozen=True)
+class ColmapModel:
+    """What was written.
+
+    Attributes:
+        files: cameras.txt, images.txt, points3D.txt.
+        n_images, n_points: Keyframes and points in them.
+    """
+
+    files: tuple[Path, Path, Path]
+    n_images: int
+    n_points: int
+
+
+def write_colmap(stored: StoredMap, folder: Path, colours: U8 | None = None) -> ColmapModel:
+    """Write the text model of a map, of its main sub-map where there are several.
+
+    Args:
+        stored: The map.
+        folder: Where the three files go.
+        colours: Colour of each point (P, 3), by its id; grey where not given.
+    """
+    world, camera = stored.world, stored.camera
+    main = submaps.main(world)
+    alive = world.alive_keyframes()
+    alive = alive[world.keyframes.submap[alive] == main]
+    points = np.flatnonzero(world.points.is_alive & (world.points.n_keyframes > 0))
+    points = points[submaps.of_points(points, world) == main]
+    files = folder / "cameras.txt", folder / "images.txt", folder / "points3D.txt"
+    files[0].write_text(_camera_line(camera), encoding="utf-8")
+    files[1].write_text("".join(_image_lines(world, int(k), _session(stored, int(k))) for k in alive), encoding="utf-8")
+    grey: U8 = np.full((len(world.points), 3), GREY, dtype=np.uint8)
+    text = _point_lines(world, camera, points, grey if colours is None else colours)
+    files[2].write_text(text, encoding="utf-8")
+    return ColmapModel(files, len(alive), len(points))
+
+
+def _camera_line(camera: Camera) -> str:
+    numbers = camera.fx, camera.fy, camera.cx + 0.5, camera.cy + 0.5
+    parameters = " ".join(f"{value:.9g}" for value in numbers)
+    return f"# CAMERA_ID MODEL WIDTH HEIGHT fx fy cx cy\n1 PINHOLE {camera.width} {camera.height} {parameters}\n"
+
+
+def _session(stored: StoredMap, keyframe: int) -> int:
+    return max(0, sum(session.first_keyframe <= keyframe for session in stored.sessions) - 1)
+
+
+def _image_lines(world: Map, keyframe: int, session: int) -> str:
+    """Return the two lines of an image: where it was taken from, and what it sees."""
+    T_cam_world = se3.inverse(world.keyframes.T_world_cam[keyframe])
+    x, y, z, w = se3.to_quaternions_xyzw(T_cam_world[None])[0]
+    pose = " ".join(f"{value:.12g}" for value in (w, x, y, z, *T_cam_world[:3, 3]))
+    name = f"session{session}/{int(world.keyframes.image_index[keyframe]):06d}.png"
+    px = world.keypoints.px[world.rows(keyframe)] + 0.5
+    seen = world.points_of(keyframe)
+    ids = np.where(seen >= 0, seen.astype(np.int64) + 1, -1)
+    found = " ".join(f"{u:.3f} {v:.3f} {i}" for (u, v), i in zip(px.tolist(), ids.tolist(), strict=True))
+    return f"{keyframe + 1} {pose} {_CAMERA_ID} {name}\n{found}\n"
+
+
+def _point_lines(world: Map, camera: Camera, points: I64, colours: U8) -> str:
+    """Return a line for each point: where it is, its colour, its mean error [px], and who sees it."""
+    place, rows = world.observations(points)
+    keyframes = world.keypoints.keyframe[rows]
+    places_px = rows - world.keyframes.first_row[keyframes]
+    error_px = _errors_px(world, camera, points[place], rows)
+    counts = np.bincount(place, minlength=len(points))
+    mean_px = np.bincount(place, weights=error_px, minlength=len(points)) / np.maximum(counts, 1)
+    ends, lines = np.cumsum(counts), []
+    for i, point in enumerate(points.tolist()):
+        views = slice(ends[i] - counts[i], ends[i])
+        x, y, z = world.points.position_m[point]
+        r, g, b = colours[point]
+        seen = zip((keyframes[views] + 1).tolist(), places_px[views].tolist(), strict=True)
+        track = " ".join(f"{image} {place_px}" for image, place_px in seen)
+        lines.append(f"{point + 1} {x:.9g} {y:.9g} {z:.9g} {r} {g} {b} {mean_px[i]:.4f} {track}\n")
+    return "".join(lines)
+
+
+def _errors_px(world: Map, camera: Camera, points: I64, rows: np.ndarray) -> F64:
+    """Return how far each observation (M,) lies from where its point projects to [px]."""
+    T_cam_world = se3.inverse(world.keyframes.T_world_cam)[world.keypoints.keyframe[rows]]
+    points_world_m = world.points.position_m[points]
+    points_cam = np.einsum("nij,nj->ni", T_cam_world[:, :3, :3], points_world_m) + T_cam_world[:, :3, 3]
+    errors: F64 = np.linalg.norm(camera.project(points_cam) - world.keypoints.px[rows], axis=1)
+    return errors

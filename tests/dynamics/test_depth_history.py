@@ -220,3 +220,16 @@ def test_on_rendered_frames_the_room_agrees_and_who_walked_in_stands_where_it_wa
     assert shares["room"][2] < 0.005
     assert shares["figures"][2] > 0.98
     assert shares["figures"][1] < 0.02
+
+
+def test_when_the_map_jumps_the_past_jumps_along() -> None:
+    history, jump = DepthHistory(NARROW), pose(0.7, -0.2, 0.4, turn=(0.1, 0.5, -0.2))
+    history.remember(frame_at(9.0, pose()), np.eye(4))
+    on_wall = points_on_the_wall(n=200).points_m
+    on_wall = on_wall[np.all(np.abs(on_wall[:, :2]) < (0.9, 0.6), axis=1)]
+    before = history.evidence(CAMERA, on_wall, 10.0)
+    history.follow(jump)
+    after = history.evidence(CAMERA, se3.transform(jump, on_wall), 10.0)
+    assert before.agrees.all()
+    np.testing.assert_array_equal(after.agrees, before.agrees)
+    assert not history.evidence(CAMERA, on_wall, 10.0).agrees.all()

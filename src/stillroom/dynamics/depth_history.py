@@ -1,12 +1,13 @@
 """What the depth camera saw before, asked whether a surface was there then too."""
 
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numba import njit
 
 from stillroom.data.frame import Frame
+from stillroom.geometry import se3
 from stillroom.geometry.arrays import F32, F64, I64
 from stillroom.geometry.camera import Camera
 
@@ -68,6 +69,12 @@ class DepthHistory:
             return
         small = frame.image.depth_m[::STRIDE, ::STRIDE].copy()
         self._images.append(_Remembered(stamp, T_cam_world.copy(), small))
+
+    def follow(self, T_new_old: F64) -> None:
+        """Move what is remembered by a motion (4, 4) of the world's coordinates."""
+        T_old_new = se3.inverse(T_new_old)
+        moved = [replace(image, T_cam_world=image.T_cam_world @ T_old_new) for image in self._images]
+        self._images = deque(moved, maxlen=self._images.maxlen)
 
     def evidence(self, camera: Camera, points_world_m: F64, now_s: float) -> Evidence:
         """Ask earlier images about points (N, 3) [m, world]."""

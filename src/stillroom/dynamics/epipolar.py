@@ -6,6 +6,7 @@ import numpy as np
 
 from stillroom.data.frame import Frame
 from stillroom.data.map import Map
+from stillroom.data.map.jumps import JumpFollower
 from stillroom.data.matches import Matches
 from stillroom.data.motion import Motion, Stage
 from stillroom.data.semantics import Semantics
@@ -58,6 +59,7 @@ class EpipolarSieve:
         """Start without a past."""
         self.config = config
         self.history = DepthHistory(config.history)
+        self._jumps = JumpFollower()
 
     def judge(
         self,
@@ -71,6 +73,7 @@ class EpipolarSieve:
         """Judge every keypoint in a box by depth, and the matched ones by their epipolar lines too."""
         if stage is Stage.RELOCALIZATION:
             return Motion.none(len(frame), frame.image.height, frame.image.width)
+        self._jumps.follow(world, (self.history,))
         motion = self.verdict(stage, frame, matches, semantics.result(), T_cam_world, world)
         if stage is Stage.LOCAL_MAP:
             self.history.remember(frame, T_cam_world)

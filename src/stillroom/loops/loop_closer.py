@@ -174,6 +174,8 @@ class LoopCloser:
             self.refused.append((loop, verdict))
             return False
         self.closed.append(loop)
+        T_world_old = before.T_world_cam[loop.keyframe]
+        world.jumps.append(world.keyframes.T_world_cam[loop.keyframe] @ se3.inverse(T_world_old))
         for follow in self._after:
             follow()
         return True

@@ -145,3 +145,13 @@ def test_what_was_out_of_view_in_part_inherits_in_part() -> None:
     for y_m in (-0.8, 0.8):
         (found,) = inherited(belief, *seen([tall], 1.0), 1.0, pose(0.0, y_m))
         assert found == pytest.approx(4.0 * (1 - 209 / 480), abs=0.1)
+
+
+def test_when_the_map_jumps_beliefs_jump_along() -> None:
+    frame, semantics = seen([LEFT, RIGHT], 1.0)
+    belief, jump = after(frame, semantics, 3.0, -2.0), pose(0.7, -0.2, 0.4, turn=(0.1, 0.5, -0.2))
+    belief.follow(jump)
+    np.testing.assert_allclose(inherited(belief, frame, semantics, 1.0, jump @ HOME), [3.0, -2.0], rtol=1e-6)
+    nobody = Belief(FADES_IN_S, REACH_M)
+    nobody.follow(jump)
+    assert inherited(nobody, frame, semantics, 1.0).tolist() == [0.0, 0.0]

@@ -21,6 +21,8 @@ class Map:
         keyframes, keypoints, points: The tables; see `tables`.
         covisibility: Which keyframes see the same points.
         lock: Held by whoever changes the map from a thread of its own, as a closed loop does.
+        jumps: Motions (4, 4) of the world's coordinates around the newest keyframe, each done at once by a correction
+            of the map; see `jumps.JumpFollower`.
         loop_edges: Keyframes that closed loops: the one that knew the place, the one that came back.
     """
 
@@ -32,6 +34,7 @@ class Map:
         self.points = PointTable(capacity=16384)
         self.covisibility = Covisibility()
         self.lock = threading.RLock()
+        self.jumps: list[F64] = []
         self.loop_edges: list[tuple[int, int]] = []
         self._n_submaps = 0
 

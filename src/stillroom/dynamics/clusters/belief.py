@@ -1,6 +1,6 @@
 """What was believed of each place in the last image, so that a verdict goes with its cluster through time."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -54,6 +54,11 @@ class Belief:
         fade = np.exp(-max(0.0, now_s - last.timestamp_s) / self._fades_in_s)
         inherited: F64 = fade * total / np.maximum(samples.count(n_clusters), 1.0)
         return inherited
+
+    def follow(self, T_new_old: F64) -> None:
+        """Move what is remembered by a motion (4, 4) of the world's coordinates."""
+        if self._last is not None:
+            self._last = replace(self._last, T_cam_world=self._last.T_cam_world @ se3.inverse(T_new_old))
 
     def remember(self, frame: Frame, clusters: Clusters, belief: F64, T_cam_world: F64) -> None:
         """Keep the beliefs (K,) of a frame's clusters for the next image."""

@@ -7,6 +7,7 @@ import numpy as np
 from stillroom.data.cloud.clusters import Clusters
 from stillroom.data.frame import Frame
 from stillroom.data.map import Map
+from stillroom.data.map.jumps import JumpFollower
 from stillroom.data.matches import Matches
 from stillroom.data.motion import Motion, Stage
 from stillroom.data.semantics import Semantics
@@ -102,6 +103,7 @@ class ClusterSieve:
         self._belief = Belief(config.fades_in_s, config.reach_m)
         self._pixels = MovingPixels(config.margin_px)
         self._past: _Past | None = None
+        self._jumps = JumpFollower()
 
     def judge(
         self,
@@ -116,6 +118,8 @@ class ClusterSieve:
         nothing_moves = Motion.none(len(frame), frame.image.height, frame.image.width)
         if stage is Stage.RELOCALIZATION:
             return nothing_moves
+        if self._jumps.follow(world, (self._boxes.history, self._history, self._belief)):
+            self._past = None
         known = semantics.result()
         motion = self._boxes.verdict(stage, frame, matches, known, T_cam_world, world)
         clusters = known.clusters

@@ -49,6 +49,7 @@ class LoopDetector:
         score[found.keyframes] = found.scores
         bar = float(score[neighbours].min(initial=1.0)) if neighbours else 0.0
         elsewhere = self.world.keyframes.is_alive[found.keyframes].copy()
+        elsewhere &= self.world.keyframes.submap[found.keyframes] == self.world.keyframes.submap[keyframe]
         elsewhere &= ~np.isin(found.keyframes, [keyframe, *neighbours])
         others = Resemblance(found.keyframes[elsewhere], found.scores[elsewhere], found.n_common[elsewhere])
         alike = best_places(others, self.world.covisibility, bar)[: self.config.max_candidates]

@@ -7,13 +7,13 @@ import pytest
 
 from stillroom.datasets.synthetic import SyntheticRoom, open_synthetic
 from stillroom.datasets.synthetic.camera_path import PATHS
-from stillroom.datasets.synthetic.room import stage_for
 from stillroom.datasets.synthetic.scene.atlas import AtlasBuilder
 from stillroom.datasets.synthetic.scene.builder import Footprint
 from stillroom.datasets.synthetic.scene.layout import HALF_X_M, HALF_Y_M, ROOMS, build_room
 from stillroom.datasets.synthetic.scene.people import body, gait
 from stillroom.datasets.synthetic.scene.people.choreography import FIGURES, cast_for
 from stillroom.datasets.synthetic.scene.people.script import RAMP_S, Script
+from stillroom.datasets.synthetic.worlds.single import stage_for
 from stillroom.geometry import se3
 
 BODY_RADIUS_M = 0.27

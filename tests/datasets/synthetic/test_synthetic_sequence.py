@@ -15,6 +15,7 @@ from stillroom.data.locations import cache_folder
 from stillroom.datasets.synthetic import open_synthetic
 from stillroom.datasets.synthetic import room as room_module
 from stillroom.datasets.synthetic.cache import FrameCache, StoredFrame
+from stillroom.datasets.synthetic.worlds.single import scene_of
 from stillroom.testing.dataset_contract import KnownPixel, check_dataset
 
 
@@ -46,7 +47,7 @@ def test_frames_depend_on_seed_and_number_alone() -> None:
     spec = "synthetic:walking,frames=200,cache=off"
     one = open_synthetic(spec)
     forwards = [one.load(k) for k in (0, 5, 150)]
-    room_module._scene.cache_clear()
+    scene_of.cache_clear()
     other = open_synthetic(spec)
     assert all(same(other.load(k), image) for k, image in zip((150, 5, 0), forwards[::-1], strict=True))
     np.testing.assert_array_equal(one.groundtruth.T_world_cam, other.groundtruth.T_world_cam)

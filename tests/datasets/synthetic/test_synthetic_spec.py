@@ -26,6 +26,12 @@ from stillroom.errors import ConfigError, DatasetError
             "synthetic:standing,cache=no,room=library",
             PRESETS["standing"].__class__(figures="standing", n_frames=360, cache=False, room="library"),
         ),
+        ("synthetic:corridor,frames=600", SyntheticConfig(room="corridor", path="round", n_frames=600)),
+        (
+            "synthetic:building,rooms=3,alike=no,figures=walking",
+            SyntheticConfig(room="building", path="tour", rooms=3, alike=False, n_frames=2700),
+        ),
+        ("synthetic:rooms", SyntheticConfig(room="building", path="tour", rooms=6, alike=False, n_frames=10_000)),
         ("synthetic:empty,name=mine", SyntheticConfig(figures="none", name="mine")),
     ],
 )
@@ -51,6 +57,10 @@ def test_a_spec_is_read(spec: str, config: SyntheticConfig) -> None:
         ("synthetic:walking,fps=-1", ConfigError, "fps is -1.0"),
         ("synthetic:walking,fps=inf", ConfigError, "fps is inf"),
         ("synthetic:walking,seed=-1", ConfigError, "seed is -1"),
+        ("synthetic:building,rooms=0", ConfigError, "rooms is 0; a building has 1 to 40"),
+        ("synthetic:building,path=sway", ConfigError, "path is 'sway'; there are tour"),
+        ("synthetic:corridor,figures=pushed", ConfigError, "figures is 'pushed'; there are none, walking"),
+        ("synthetic:walking,room=corridor", ConfigError, "path is 'sway'; there are round"),
         ("synthetic:walking,loop", ConfigError, "'loop' is not of the form key=value"),
         ("synthetic:walking,name=a/b", ConfigError, "name is 'a/b'; it must not have a slash"),
     ],

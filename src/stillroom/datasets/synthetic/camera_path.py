@@ -63,6 +63,27 @@ WALK = Wander(
 COORDINATES = ("x", "y", "z", "yaw", "pitch", "roll")
 
 
+class Hand:
+    """A hand that strays: sums of swings, exact at any time, the same again after a while."""
+
+    def __init__(self, wander: Wander, rng: np.random.Generator, period_s: float) -> None:
+        """Draw the swings' frequencies and phases; in the period each swings a whole number of times."""
+        rows = []
+        for row, name in enumerate(COORDINATES):
+            for amplitude, frequency_hz in (*getattr(wander, name), *getattr(TREMOR, name)):
+                rounds = max(1, round(frequency_hz * period_s * rng.uniform(0.9, 1.1)))
+                rows.append((row, amplitude, 2 * np.pi * rounds / period_s, rng.uniform(0, 2 * np.pi)))
+        self._swings = np.array(rows)
+
+    def strayed(self, times_s: F64) -> F64:
+        """Return how far x, y, z [m] and yaw, pitch, roll [rad] are off (6, N) at times (N,) [s]."""
+        row, amplitude, speed, phase = self._swings.T[..., None]
+        swings = amplitude * np.sin(speed * times_s + phase)
+        strayed = np.zeros((len(COORDINATES), len(times_s)))
+        np.add.at(strayed, row[:, 0].astype(np.int64), swings)
+        return strayed
+
+
 class CameraPath:
     """A path of one of the kinds of `PATHS`; exact at any time, for any number of frames."""
 
@@ -76,22 +97,11 @@ class CameraPath:
         """
         wander, self._course = PATHS[kind]
         self._duration_s = duration_s
-        rng = np.random.default_rng([seed, 53])
-        rows = []
-        for row, name in enumerate(COORDINATES):
-            for amplitude, frequency_hz in (*getattr(wander, name), *getattr(TREMOR, name)):
-                # A whole number of swings: the path closes.
-                rounds = max(1, round(frequency_hz * duration_s * rng.uniform(0.9, 1.1)))
-                rows.append((row, amplitude, 2 * np.pi * rounds / duration_s, rng.uniform(0, 2 * np.pi)))
-        self._swings = np.array(rows)
+        self._hand = Hand(wander, np.random.default_rng([seed, 53]), duration_s)
 
     def poses(self, times_s: F64) -> F64:
         """Return `T_world_cam` (N, 4, 4) at times (N,) [s]."""
-        row, amplitude, speed, phase = self._swings.T[..., None]
-        swings = amplitude * np.sin(speed * times_s + phase)
-        strayed = np.zeros((len(COORDINATES), len(times_s)))
-        np.add.at(strayed, row[:, 0].astype(np.int64), swings)
-        return _looking(*self._course(times_s, self._duration_s, strayed))
+        return looking(*self._course(times_s, self._duration_s, self._hand.strayed(times_s)))
 
 
 Course = tuple[F64, F64, F64, F64]
@@ -145,7 +155,7 @@ PATHS: dict[str, tuple[Wander, Callable[[F64, float, F64], Course]]] = {
 }
 
 
-def _looking(position_m: F64, yaw_rad: F64, pitch_rad: F64, roll_rad: F64) -> F64:
+def looking(position_m: F64, yaw_rad: F64, pitch_rad: F64, roll_rad: F64) -> F64:
     """Return poses of cameras at positions (N, 3) that look along +y, turned left, up and about their axis."""
     cy, sy, cp, sp = np.cos(yaw_rad), np.sin(yaw_rad), np.cos(pitch_rad), np.sin(pitch_rad)
     zero = np.zeros_like(cy)

@@ -7,13 +7,19 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from stillroom.datasets.synthetic.camera_path import PATHS
+from stillroom.datasets.synthetic.render import World
 from stillroom.datasets.synthetic.room import SyntheticRoom
 from stillroom.datasets.synthetic.scene.layout import ROOMS
 from stillroom.datasets.synthetic.scene.people.choreography import FIGURES
+from stillroom.datasets.synthetic.worlds.corridor import corridor
+from stillroom.datasets.synthetic.worlds.rooms import MOST_ROOMS, building
+from stillroom.datasets.synthetic.worlds.single import single_room
 from stillroom.errors import ConfigError, DatasetError
 
 PREFIX = "synthetic"
 KEYS = {"frames": "n_frames"}  # short names in a spec; the others are the fields'
+WAYS = {"corridor": "round", "building": "tour"}  # the only path there
+WALKERS = ("none", "walking")  # the only figures there
 
 
 @dataclass(frozen=True)
@@ -25,9 +31,14 @@ class SyntheticConfig:
         n_frames: How many frames.
         fps: Frames per second [1/s].
         seed: Chooses textures, clothes, speeds, phases and noise.
-        path: How the camera goes: still, sway, rpy, halfsphere, loop. It ends where it started.
-        figures: Who is there: none, walking, standing (5 s, then walking), carried (a box), pushed (a chair).
-        room: office, workshop, library.
+        path: How the camera goes: still, sway, rpy, halfsphere, loop; it ends where it started. In the corridor: round
+            (once and a quarter further, where the frames are enough; for few frames the ring is smaller). In the
+            building: tour (in and out of each room in order, back, and again, as long as there are frames).
+        figures: Who is there: none, walking, standing (5 s, then walking), carried (a box), pushed (a chair). In the
+            corridor and the building: none, walking.
+        room: office, workshop, library; corridor (a ring), building (rooms on both sides of a corridor).
+        rooms: How many rooms the building has.
+        alike: Whether these look alike but for a tenth; else each looks different.
         noise: Whether the sensor has noise, steps, holes and a range; without, depth is exact to 0.2 mm.
         cache: Whether frames are kept in the user's cache folder.
     """
@@ -39,6 +50,8 @@ class SyntheticConfig:
     path: str = "sway"
     figures: str = "walking"
     room: str = "office"
+    rooms: int = 10
+    alike: bool = True
     noise: bool = True
     cache: bool = True
 
@@ -48,7 +61,7 @@ class SyntheticConfig:
         Raises:
             ConfigError: A value is impossible.
         """
-        for key, choices in (("path", PATHS), ("figures", FIGURES), ("room", ROOMS)):
+        for key, choices in self._choices():
             if getattr(self, key) not in choices:
                 raise ConfigError(f"synthetic: {key} is '{getattr(self, key)}'; {_advice(getattr(self, key), choices)}")
         if self.n_frames < 1:
@@ -57,15 +70,36 @@ class SyntheticConfig:
             raise ConfigError(f"synthetic: fps is {self.fps}; it must be above 0")
         if self.seed < 0:
             raise ConfigError(f"synthetic: seed is {self.seed}; it must be 0 or more")
+        if not 1 <= self.rooms <= MOST_ROOMS:
+            raise ConfigError(f"synthetic: rooms is {self.rooms}; a building has 1 to {MOST_ROOMS}")
         if "/" in self.name:
             raise ConfigError(f"synthetic: name is '{self.name}'; it must not have a slash")
-        rendered = (self.n_frames, self.fps, self.seed, self.path, self.figures, self.room)
-        return SyntheticRoom(self.name or self._own_name(), *rendered, noise=self.noise, cache=self.cache)
+        name = self.name or self._own_name()
+        # The name and the cache do not change what a frame looks like.
+        looks = repr(replace(self, name="", cache=True)) if self.cache else None
+        return SyntheticRoom(name, self._world(), self.n_frames, self.fps, self.seed, self.noise, looks)
+
+    def _choices(self) -> tuple[tuple[str, Iterable[str]], ...]:
+        """Return what each key may be."""
+        rooms = ("room", (*ROOMS, *WAYS))
+        if self.room in WAYS:
+            return rooms, ("path", (WAYS[self.room],)), ("figures", WALKERS)
+        return rooms, ("path", PATHS), ("figures", FIGURES)
+
+    def _world(self) -> World:
+        if self.room == "corridor":
+            return corridor(self.n_frames, self.fps, self.figures, self.seed)
+        if self.room == "building":
+            return building(self.rooms, self.alike, self.figures, self.seed)
+        return single_room(self.room, self.path, self.figures, self.seed, self.n_frames / self.fps)
 
     def _own_name(self) -> str:
         rate = "" if self.fps == 30.0 else f"_{self.fps:g}fps"
         exact = "" if self.noise else "_exact"
-        return f"synthetic_{self.figures}_{self.path}_{self.room}_{self.n_frames}{rate}_seed{self.seed}{exact}"
+        place = self.room
+        if self.room == "building":
+            place = f"building_{self.rooms}_{'alike' if self.alike else 'different'}"
+        return f"synthetic_{self.figures}_{self.path}_{place}_{self.n_frames}{rate}_seed{self.seed}{exact}"
 
 
 PRESETS = {
@@ -75,6 +109,9 @@ PRESETS = {
     "pushed": SyntheticConfig(figures="pushed", n_frames=420),
     "empty": SyntheticConfig(figures="none"),
     "loop": SyntheticConfig(figures="none", path="loop", n_frames=720),
+    "corridor": SyntheticConfig(room="corridor", path="round", n_frames=1500),
+    "building": SyntheticConfig(room="building", path="tour", figures="none", n_frames=2700),
+    "rooms": SyntheticConfig(room="building", path="tour", rooms=6, alike=False, n_frames=10_000),
 }
 
 

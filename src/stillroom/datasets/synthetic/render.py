@@ -1,6 +1,7 @@
 """Renders the scene at a moment: the driver over the kernels of `raster`."""
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import cv2
 import numpy as np
@@ -45,10 +46,29 @@ class Scene:
         parts = [figure.patches(time_s) for figure in self.figures]
         return concatenate([self.still, *parts, *(thing.patches(time_s) for thing in self.objects)])
 
+    def seen(self, camera: Camera, T_world_cam: F64, time_s: float) -> Patches:
+        """Return the patches that may be seen from a pose (4, 4) at a moment: all, in a scene of one room."""
+        return self.patches(time_s)
+
+
+class Way(Protocol):
+    """Where the camera is at any time."""
+
+    def poses(self, times_s: F64) -> F64:
+        """Return `T_world_cam` (N, 4, 4) at times (N,) [s]."""
+
+
+@dataclass(frozen=True)
+class World:
+    """What is rendered, and from where."""
+
+    scene: Scene
+    way: Way
+
 
 def render(scene: Scene, camera: Camera, T_world_cam: F64, time_s: float) -> Rendering:
     """Render the scene at a moment from a pose (4, 4)."""
-    patches = scene.patches(time_s)
+    patches = scene.seen(camera, T_world_cam, time_s)
     count, size = len(patches), (camera.height, camera.width)
     planes, outline, rows = np.empty((count, 12)), np.empty((count, 6)), np.empty((count, 3), dtype=np.int64)
     intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])

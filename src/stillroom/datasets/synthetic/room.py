@@ -13,14 +13,9 @@ from stillroom.data.semantics import Box, Semantics
 from stillroom.data.trajectory import Trajectory
 from stillroom.datasets.synthetic import sensor
 from stillroom.datasets.synthetic.cache import FrameCache, StoredFrame
-from stillroom.datasets.synthetic.camera_path import CameraPath
 from stillroom.datasets.synthetic.raster import extents_of
 from stillroom.datasets.synthetic.remains import Remains
-from stillroom.datasets.synthetic.render import Rendering, Scene, render
-from stillroom.datasets.synthetic.scene.atlas import AtlasBuilder
-from stillroom.datasets.synthetic.scene.layout import build_room
-from stillroom.datasets.synthetic.scene.people.choreography import Stage, cast_for
-from stillroom.datasets.synthetic.scene.people.figures import FIRST_OBJECT, build_people
+from stillroom.datasets.synthetic.render import Rendering, World, render
 from stillroom.geometry.arrays import F32, F64, U8, U16, Bool
 from stillroom.geometry.camera import Camera
 
@@ -49,29 +44,30 @@ class SyntheticRoom:
     """A rendered RGB-D sequence; see `stillroom.datasets.synthetic.config` for what can be chosen."""
 
     def __init__(
-        self,
-        name: str,
-        n_frames: int,
-        fps: float,
-        seed: int,
-        path: str,
-        figures: str,
-        room: str,
-        noise: bool,
-        cache: bool,
+        self, name: str, world: World, n_frames: int, fps: float, seed: int, noise: bool, cache_spec: str | None
     ) -> None:
-        """Build the scene. All choices are taken to be valid: `SyntheticConfig.build` checks them."""
+        """Take pictures of a world.
+
+        Args:
+            name: Called so in results.
+            world: What there is to see, and the camera's way.
+            n_frames: How many frames.
+            fps: Frames per second [1/s].
+            seed: Chooses the noise.
+            noise: Whether the sensor has any.
+            cache_spec: All that decides what frames look like, to find those kept on disk; None to keep none.
+        """
         self.name = name
         self.camera = CAMERA
         self.camera_source = "the renderer's own pinhole camera: fx = fy = 525, no distortion, exact"
         self.timestamps_s = np.arange(n_frames) / fps
-        self.scene = _scene(room, figures, seed, stage_for(path))
-        self._path = CameraPath(path, seed, n_frames / fps)
-        self._seed = seed
+        self.scene = world.scene
+        self._way = world.way
         self._noise = sensor.NoiseTables(seed) if noise else None
-        spec = f"{_renderer_version()} {n_frames} {fps!r} {seed} {path} {figures} {room} {noise} {CAMERA}"
-        key = hashlib.sha256(spec.encode()).hexdigest()[:24]
-        self._cache = FrameCache(key) if cache else None
+        self._cache: FrameCache | None = None
+        if cache_spec is not None:
+            spec = f"{_renderer_version()} {cache_spec} {CAMERA}"
+            self._cache = FrameCache(hashlib.sha256(spec.encode()).hexdigest()[:24])
 
     def __len__(self) -> int:
         """Number of frames."""
@@ -80,7 +76,7 @@ class SyntheticRoom:
     @cached_property
     def groundtruth(self) -> Trajectory:
         """The exact pose of each frame."""
-        return Trajectory(self.timestamps_s, self._path.poses(self.timestamps_s))
+        return Trajectory(self.timestamps_s, self._way.poses(self.timestamps_s))
 
     def load(self, index: int) -> RgbdImage:
         """Return frame `index`, from the cache or rendered.
@@ -123,7 +119,7 @@ class SyntheticRoom:
 
     def pose(self, index: int) -> F64:
         """Return the exact `T_world_cam` (4, 4) of frame `index`."""
-        pose: F64 = self._path.poses(self.timestamps_s[index : index + 1])[0]
+        pose: F64 = self._way.poses(self.timestamps_s[index : index + 1])[0]
         return pose
 
     def _check(self, index: int) -> None:
@@ -169,11 +165,6 @@ class SyntheticRoom:
         return Semantics(height, width, tuple(boxes), moving)
 
 
-def stage_for(path: str) -> Stage:
-    """Return the floor that figures may take: a smaller one where the camera goes round them."""
-    return Stage(scale=0.6, middle_y_m=0.05) if path == "loop" else Stage()
-
-
 @lru_cache(maxsize=1)
 def _renderer_version() -> str:
     """Return a hash of the renderer's own sources: a frame kept by another version is never taken for one of this."""
@@ -182,14 +173,3 @@ def _renderer_version() -> str:
     for path in sorted(folder.rglob("*.py")):
         digest.update(path.relative_to(folder).as_posix().encode() + path.read_bytes())
     return digest.hexdigest()
-
-
-@lru_cache(maxsize=4)
-def _scene(room: str, figures: str, seed: int, stage: Stage) -> Scene:
-    """Build a scene, or take it from a moment ago: it is never changed."""
-    atlas = AtlasBuilder()
-    cast = cast_for(figures, seed, stage)
-    still = build_room(room, seed, cast.tables, atlas)
-    people, objects = build_people(cast, seed, atlas)
-    assert len(people) < FIRST_OBJECT
-    return Scene(atlas.build(), still.patches, people, objects)

@@ -65,15 +65,33 @@ class SceneBuilder:
         """Add a texture and return its number."""
         return self.atlas.add(picture)
 
-    def face(self, T_world_local: F64, corner_m: Vector, right_m: Vector, up_m: Vector, texture: int) -> None:
-        """Add a rectangle by its lower left corner and its edges, as its viewer sees it, in a local frame."""
+    def face(
+        self,
+        T_world_local: F64,
+        corner_m: Vector,
+        right_m: Vector,
+        up_m: Vector,
+        texture: int,
+        window: tuple[float, float, float, float] = (0.0, 0.0, 1.0, 1.0),
+    ) -> None:
+        """Add a rectangle by its lower left corner and its edges, as its viewer sees it, in a local frame.
+
+        Args:
+            T_world_local: The local frame (4, 4).
+            corner_m: Its lower left corner.
+            right_m: Its lower edge.
+            up_m: Its left edge.
+            texture: What it shows.
+            window: The part of the texture that it shows: left, top, right, bottom, in [0, 1].
+        """
         R = T_world_local[:3, :3]
         corner = R @ np.asarray(corner_m, dtype=np.float64) + T_world_local[:3, 3]
         right, up = R @ np.asarray(right_m, dtype=np.float64), R @ np.asarray(up_m, dtype=np.float64)
         normal = np.cross(right, up)
         normal /= np.linalg.norm(normal)
         light = light_at(np.stack((corner, corner + right, corner + up)), np.tile(normal, (3, 1)))
-        look = np.array([0, 1, light[0], 1, 0, light[1] - light[0], 0, -1, light[2] - light[0]])
+        left, top, wide, high = window[0], window[1], window[2] - window[0], window[3] - window[1]
+        look = np.array([left, top + high, light[0], wide, 0, light[1] - light[0], 0, -high, light[2] - light[0]])
         self._rows.append((np.concatenate((corner, right, up)), look, texture))
 
     def box(self, T_world_local: F64, low_m: Vector, size_m: Vector, skin: Skin, stands: bool = False) -> None:

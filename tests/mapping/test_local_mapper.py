@@ -133,3 +133,11 @@ def test_in_the_end_the_whole_map_comes_to_rest_unless_it_is_too_large() -> None
         found_m[most] = np.linalg.norm(world.keyframe_pose(2)[:3, 3] - PATH[2][:3, 3])
     assert found_m[len(PATH)] < 0.003
     assert found_m[0] > 0.006
+
+
+def test_a_map_that_was_only_looked_at_stays_as_it_is() -> None:
+    world, _, _ = walked(LocalMapperConfig(cull_keyframes=False))
+    world.keyframes.T_world_cam[2] = PATH[2] @ se3.exp(np.full(6, 0.004))
+    before = world.keyframes.T_world_cam.copy()
+    LocalMapperConfig().build(CAMERA, world).finish()
+    np.testing.assert_array_equal(world.keyframes.T_world_cam, before)

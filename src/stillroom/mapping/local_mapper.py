@@ -48,10 +48,12 @@ class LocalMapper:
         self._adjust = config.bundle.build()
         self._close_depth_m = config.th_depth * camera.baseline_m
         self._on_trial = on_trial(world)
+        self._has_inserted = False
 
     def insert(self, tracked: Tracked) -> int:
         """Add a frame as a keyframe, with points from the depth of its static keypoints; return its id."""
         assert tracked.T_world_cam is not None
+        self._has_inserted = True
         keyframe = self.world.add_keyframe(
             tracked.frame,
             tracked.T_world_cam,
@@ -83,7 +85,7 @@ class LocalMapper:
     def finish(self) -> None:
         """Adjust the whole map together: what later keyframes saw mends the earlier ones.
 
-        Differs from ORB-SLAM2, which does this after a loop only.
+        A map to which nothing was added stays as it is. Differs from ORB-SLAM2, which does this after a loop only.
         """
-        if len(self.world.alive_keyframes()) <= self.config.max_final_keyframes:
+        if self._has_inserted and len(self.world.alive_keyframes()) <= self.config.max_final_keyframes:
             adjust_all(self.camera, self._adjust, self.world)

@@ -1,0 +1,316 @@
+"""Runs that keep their map, go on in one, and track against one."""
+
+import hashlib
+import subprocess
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from random_map import assert_same_map
+
+from stillroom.config import SlamConfig, read_toml, updated
+from stillroom.datasets.selection import select
+from stillroom.dense.dense_mapper import DenseMapperConfig
+from stillroom.errors import FrameError, MapError
+from stillroom.pipeline import RunOptions, RunOutcome, run
+from stillroom.pipeline.maps.dense import dense_cloud
+from stillroom.pipeline.maps.use import MapFile, MapUse
+from stillroom.protocols import Dataset
+from stillroom.semantics.truth import TruthConfig
+from stillroom.storage import load_map
+from stillroom.storage.check import check_map
+from stillroom.storage.export.trajectory import trajectories
+from stillroom.storage.keeper import MapKeeperConfig
+from stillroom.storage.opening import log_of
+from stillroom.storage.reader import count_images
+
+CONFIG = SlamConfig(semantics=TruthConfig(), storage=MapKeeperConfig(images=True))
+# More keyframes than usual: most of these tests are about them.
+CONFIG = replace(CONFIG, keyframes=replace(CONFIG.keyframes, share=0.95))
+
+
+def on(path: Path, use: MapUse) -> RunOptions:
+    return RunOptions(root=None, pictures=0, map=MapFile(path, use))
+
+
+def sha256(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+@dataclass(frozen=True)
+class Kept:
+    outcome: RunOutcome
+    path: Path
+
+
+@pytest.fixture(scope="module")
+def kept(room: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Kept:
+    """The first second of the room, with its map."""
+    path = tmp_path_factory.mktemp("maps") / "room.stillmap"
+    return Kept(run(select(room, frames=":30"), CONFIG, on(path, MapUse.NEW)), path)
+
+
+@pytest.fixture
+def copy(kept: Kept, tmp_path: Path) -> Path:
+    path = tmp_path / "room.stillmap"
+    path.write_bytes(kept.path.read_bytes())
+    return path
+
+
+def test_the_file_holds_the_map_of_the_run(kept: Kept, room: Dataset) -> None:
+    stored, slam = load_map(kept.path), kept.outcome.slam
+    assert kept.outcome.map_file == kept.path
+    assert_same_map(stored.world, slam.map)
+    assert check_map(kept.path) == []
+    assert not log_of(kept.path).exists()
+    assert stored.camera == room.camera
+    [session] = stored.sessions
+    assert (session.first_keyframe, session.method, session.sequence) == (0, CONFIG.method, room.name)
+    assert len(stored.world.alive_keyframes()) > 4
+
+
+def test_the_config_in_the_file_is_that_of_the_run(kept: Kept, tmp_path: Path) -> None:
+    (tmp_path / "config.toml").write_text(load_map(kept.path).sessions[0].config, encoding="utf-8")
+    assert updated(SlamConfig(), read_toml(tmp_path / "config.toml")) == CONFIG
+
+
+def test_the_file_holds_the_trajectory_of_the_run(kept: Kept) -> None:
+    [found], expected = trajectories(load_map(kept.path)), kept.outcome.slam.trajectory()
+    np.testing.assert_array_equal(found.timestamps_s, expected.timestamps_s)
+    np.testing.assert_allclose(found.T_world_cam, expected.T_world_cam, atol=1e-12)
+    assert len(found) == 30
+
+
+def test_keeping_a_map_changes_no_pose(kept: Kept, room: Dataset) -> None:
+    plain = run(select(room, frames=":30"), CONFIG, RunOptions(root=None, pictures=0))
+    np.testing.assert_array_equal(plain.slam.trajectory().T_world_cam, kept.outcome.slam.trajectory().T_world_cam)
+
+
+def test_tracking_against_a_map_leaves_it_as_it_is(kept: Kept, room: Dataset) -> None:
+    """From a frame in the middle on, through frames that the map has not seen."""
+    before, listed = sha256(kept.path), sorted(kept.path.parent.iterdir())
+    config = replace(CONFIG, dense=DenseMapperConfig())
+    outcome = run(select(room, frames="20:"), config, on(kept.path, MapUse.LOCALIZE))
+    assert outcome.n_tracked == 25
+    assert not any(result.is_keyframe for result in outcome.slam.results)
+    assert outcome.slam.dense_mapper.cloud() is None
+    assert outcome.map_file is None
+    assert sha256(kept.path) == before
+    assert sorted(kept.path.parent.iterdir()) == listed
+    untouched = load_map(kept.path).world
+    for name in ("T_world_cam", "is_alive"):
+        expected = getattr(untouched.keyframes, name)
+        np.testing.assert_array_equal(getattr(outcome.slam.map.keyframes, name), expected)
+    np.testing.assert_array_equal(outcome.slam.map.points.position_m, untouched.points.position_m)
+    # The poses are those of the run that made the map, where both saw a frame.
+    made = {round(r.timestamp_s, 6): r.T_world_cam for r in kept.outcome.slam.results}
+    both = [r for r in outcome.slam.results if round(r.timestamp_s, 6) in made]
+    assert len(both) == 10
+    errors_m = [np.linalg.norm(r.T_world_cam[:3, 3] - made[round(r.timestamp_s, 6)][:3, 3]) for r in both]
+    assert max(errors_m) < 0.02
+
+
+def test_tracking_backwards_against_a_map(kept: Kept, room: Dataset) -> None:
+    outcome = run(select(room, frames="10:30", reverse=True), CONFIG, on(kept.path, MapUse.LOCALIZE))
+    assert outcome.n_tracked == 20
+    assert outcome.evaluation is not None
+    assert outcome.evaluation.as_given.ate_se3_m.rmse < 0.02
+
+
+def test_going_on_in_a_map(copy: Path, room: Dataset) -> None:
+    """The second run begins somewhere in the map, with times and image numbers of its own."""
+    n_before = len(load_map(copy).world.keyframes)
+    outcome = run(select(room, frames="15:", reverse=True), CONFIG, on(copy, MapUse.CONTINUE))
+    assert outcome.n_tracked == 30
+    stored = load_map(copy)
+    assert_same_map(stored.world, outcome.slam.map)
+    assert check_map(copy) == []
+    assert [session.first_keyframe for session in stored.sessions] == [0, n_before]
+    first, second = trajectories(stored)
+    assert (len(first), len(second)) == (30, 30)
+    np.testing.assert_allclose(second.T_world_cam, outcome.slam.trajectory().T_world_cam, atol=1e-12)
+    # Both lie in one world: the same true place has the same pose.
+    apart_m = np.linalg.norm(first.positions_m[15:] - second.positions_m[::-1][:15], axis=1)
+    assert np.median(apart_m) < 0.02
+    keyframes = outcome.slam.keyframe_trajectory()
+    assert np.all(np.diff(keyframes.timestamps_s) > 0)
+
+
+def test_an_error_in_the_middle_keeps_what_was_committed(room: Dataset, tmp_path: Path) -> None:
+    class Failing:
+        def __getattr__(self, name: str) -> object:
+            return getattr(room, name)
+
+        def __len__(self) -> int:
+            return len(room)
+
+        def load(self, index: int):
+            if index == 12:
+                raise RuntimeError("the cable came off")
+            if index == 5:
+                raise FrameError("one bad image")
+            return room.load(index)
+
+    path = tmp_path / "room.stillmap"
+    with pytest.raises(RuntimeError, match="cable"):
+        run(Failing(), CONFIG, on(path, MapUse.NEW))
+    assert check_map(path) == []
+    assert len(load_map(path).world.keyframes) >= 2
+    assert [file.name for file in tmp_path.iterdir()] == ["room.stillmap"]
+
+
+def test_a_dense_map_from_the_images_in_the_file(kept: Kept) -> None:
+    stored = load_map(kept.path)
+    assert count_images(kept.path) == len(stored.world.keyframes)
+    cloud = dense_cloud(kept.path, stored)
+    assert len(cloud) > 5000
+    # Its points lie where the sparse map has points too.
+    from scipy.spatial import cKDTree
+
+    sparse_m = stored.world.points.position_m[stored.world.points.is_alive]
+    distance_m, _ = cKDTree(cloud.positions_m).query(sparse_m)
+    assert np.median(distance_m) < 0.05
+
+
+def test_without_images_there_is_no_dense_map(room: Dataset, tmp_path: Path) -> None:
+    path = tmp_path / "room.stillmap"
+    run(select(room, frames=":2"), replace(CONFIG, storage=MapKeeperConfig()), on(path, MapUse.NEW))
+    with pytest.raises(MapError, match=r"keeps no images .* storage.images=true"):
+        dense_cloud(path, load_map(path))
+
+
+def refused(path: Path, use: MapUse, room: Dataset, config: SlamConfig = CONFIG) -> str:
+    with pytest.raises(MapError) as caught:
+        run(select(room, frames=":2"), config, on(path, use))
+    return str(caught.value)
+
+
+def test_what_does_not_fit_is_refused_untouched(copy: Path, room: Dataset) -> None:
+    before = sha256(copy)
+    assert "exists already" in refused(copy, MapUse.NEW, room)
+    levels = replace(CONFIG, features=replace(CONFIG.features, n_levels=5))
+    assert "8 pyramid levels" in refused(copy, MapUse.LOCALIZE, room, levels)
+    assert "8 pyramid levels" in refused(copy, MapUse.CONTINUE, room, levels)
+
+    class Other:
+        camera = replace(room.camera, fx=500.0)
+
+        def __getattr__(self, name: str) -> object:
+            return getattr(room, name)
+
+        def __len__(self) -> int:
+            return len(room)
+
+    with pytest.raises(MapError, match=r"another camera .*fx 500"):
+        run(Other(), CONFIG, on(copy, MapUse.CONTINUE))
+    assert sha256(copy) == before
+    assert [file.name for file in copy.parent.iterdir()] == ["room.stillmap"]
+
+
+def test_a_map_without_keyframes_has_nothing_to_recognise(room: Dataset, tmp_path: Path) -> None:
+    path = tmp_path / "room.stillmap"
+    dark = select(room, frames=":2", blackout=[":2"])
+    run(dark, CONFIG, on(path, MapUse.NEW))
+    assert check_map(path) == []
+    assert "holds no keyframe" in refused(path, MapUse.LOCALIZE, room)
+    assert "holds no keyframe" in refused(path, MapUse.CONTINUE, room)
+
+
+KILLED = """
+import os, signal, sys, threading
+from pathlib import Path
+
+import stillroom.pipeline.maps.use as use
+from stillroom.storage.writer import MapWriter
+
+path, log, statement, seconds = Path(sys.argv[1]), sys.argv[2], int(sys.argv[3]), float(sys.argv[4])
+commit, begin, seen = MapWriter.commit, MapWriter.begin, [0]
+
+
+def die(*_):
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def count(sql):
+    seen[0] += 1
+    if seen[0] == statement:
+        die()
+
+
+def counted_begin(self, session):
+    self._connection.set_trace_callback(count)
+    if seconds:
+        threading.Timer(seconds, die).start()
+    return begin(self, session)
+
+
+def noted_commit(self, *arguments, **options):
+    commit(self, *arguments, **options)
+    with open(log, "a") as file:
+        file.write(f"{len(self._world.keyframes)}\\n")
+
+
+MapWriter.begin, MapWriter.commit = counted_begin, noted_commit
+sys.path[:0] = sys.argv[5:]
+from test_map_runs import CONFIG, on
+from stillroom.datasets.open import open_dataset
+from stillroom.datasets.selection import select
+from stillroom.pipeline import run
+
+room = select(open_dataset("synthetic:walking,frames=45"), frames=":30")
+run(room, CONFIG, on(path, use.MapUse.NEW))
+print(seen[0])
+"""
+
+
+def killed(path: Path, statement: int, seconds: float = 0.0) -> list[int]:
+    """Run a process that dies at an SQL statement or after a time; return the numbers of keyframes it committed."""
+    log, here = path.with_suffix(".log"), Path(__file__).parent
+    arguments = [str(path), str(log), str(statement), str(seconds), str(here), str(here.parent / "fabricated")]
+    done = subprocess.run([sys.executable, "-c", KILLED, *arguments], capture_output=True, text=True, check=False)
+    assert done.returncode in (-9, 0), done.stderr
+    return [int(line) for line in log.read_text().split()] if log.exists() else []
+
+
+def assert_survived(path: Path, committed: list[int], room: Dataset) -> None:
+    """The file opens, is whole, holds what was committed; and going on in it finishes the run."""
+    assert check_map(path) == []
+    stored = load_map(path)
+    assert len(stored.world.keyframes) >= max(committed, default=0)
+    if len(stored.world.keyframes) == 0:
+        path.unlink()
+        log_of(path).unlink(missing_ok=True)
+        rest, use = select(room, frames=":30"), MapUse.NEW
+    else:
+        newest = int(stored.world.keyframes.image_index[-1])
+        rest, use = select(room, frames=f"{newest + 1 if newest < 29 else 29}:30"), MapUse.CONTINUE
+    outcome = run(rest, CONFIG, on(path, use))
+    assert outcome.n_tracked == len(rest)
+    assert_same_map(load_map(path).world, outcome.slam.map)
+    assert check_map(path) == []
+    assert not log_of(path).exists()
+
+
+N_STATEMENTS = 60
+"""A run of thirty frames makes more than so many."""
+
+
+@pytest.mark.parametrize("moment", range(3))
+def test_a_map_survives_kill_9(moment: int, room: Dataset, tmp_path: Path) -> None:
+    """In the middle of a transaction, and between two."""
+    statement = int(np.random.default_rng(moment).integers(2 + 20 * moment, 20 + 20 * moment))
+    path = tmp_path / "room.stillmap"
+    committed = killed(path, statement)
+    assert log_of(path).exists(), "the process ended in peace"
+    assert_survived(path, committed, room)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("moment", range(20))
+def test_a_map_survives_kill_9_at_any_time(moment: int, room: Dataset, tmp_path: Path) -> None:
+    rng = np.random.default_rng(100 + moment)
+    path = tmp_path / "room.stillmap"
+    committed = killed(path, 0, float(rng.uniform(0.0, 4.0)))
+    assert_survived(path, committed, room)

@@ -9,7 +9,7 @@ import os
 import re
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
 import typer
@@ -66,6 +66,7 @@ COMMANDS = (
     ),
     Command("bench", "stillroom.cli.bench:app", "Measure accuracy, the worth of rejection, speed, and ghosts."),
     Command("download", "stillroom.cli.download:download", "Fetch a data set or the weights of YOLO-Fastest."),
+    Command("train", "stillroom.cli.pspnet:train_app", "Train PSPNet, which says where people are."),
     Command(
         "train-vocabulary",
         "stillroom.cli.train_vocabulary:train_vocabulary",
@@ -74,9 +75,17 @@ COMMANDS = (
     Command("warmup", "stillroom.cli.warmup:warmup", "Compile all kernels now, so that the first run starts at once."),
 )
 
+SECOND_WORDS = {("export", "pspnet"): "stillroom.cli.pspnet:export_app"}
+"""Where a command of one word is another one when a certain word follows it."""
 
-def application(chosen: str | None = None) -> typer.Typer:
-    """Return the command line; the commands that are not chosen are there by name only."""
+
+def application(chosen: str | None = None, following: str | None = None) -> typer.Typer:
+    """Return the command line; the commands that are not chosen are there by name only.
+
+    Args:
+        chosen: The command.
+        following: The next word.
+    """
     app = typer.Typer(
         name="stillroom",
         help="RGB-D SLAM for rooms full of people: where the camera was, and a map of what stays.",
@@ -90,7 +99,8 @@ def application(chosen: str | None = None) -> typer.Typer:
         if command.name != chosen:
             app.command(command.name, help=command.summary)(_not_loaded)
             continue
-        loaded = command.load()
+        place = SECOND_WORDS.get((chosen, following or ""), command.place)
+        loaded = replace(command, place=place).load()
         if isinstance(loaded, typer.Typer):
             for inner in loaded.registered_commands:
                 inner.help = flowing(inner.callback.__doc__ if inner.callback else None)
@@ -114,9 +124,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for name in ONE_THREAD:
         os.environ.setdefault(name, "1")
     given = list(sys.argv[1:] if arguments is None else arguments)
-    chosen = next((word for word in given if not word.startswith("-")), None)
+    chosen, following, *_ = [*(word for word in given if not word.startswith("-")), None, None]
     try:
-        application(chosen)(args=given, prog_name="stillroom")
+        application(chosen, following)(args=given, prog_name="stillroom")
     except StillroomError as error:
         from stillroom.cli.output.console import print_error
 

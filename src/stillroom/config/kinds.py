@@ -30,6 +30,7 @@ from stillroom.protocols import Clusterer, DenseMapping, KeypointSieve, MatchSie
 from stillroom.semantics.depth_clusters import DepthClustersConfig, NoClustersConfig
 from stillroom.semantics.mask_files import MaskFilesConfig
 from stillroom.semantics.masks.onnx_masks import OnnxMasksConfig
+from stillroom.semantics.masks.pspnet import PspNetConfig
 from stillroom.semantics.nothing import NothingConfig
 from stillroom.semantics.truth import TruthConfig
 from stillroom.semantics.yolo_fastest import YoloFastestConfig
@@ -133,6 +134,7 @@ SEMANTICS = Kinds(
         "nothing": NothingConfig,
         "yolo-fastest": YoloFastestConfig,
         "onnx-masks": OnnxMasksConfig,
+        "pspnet": PspNetConfig,
         "mask-files": MaskFilesConfig,
         "truth": TruthConfig,
     },
@@ -167,7 +169,8 @@ class ChainConfig:
     Attributes:
         first: The one that is trusted more; `kind` chooses the part.
         second: The other one; with `kind = "keep-all"` it adds nothing.
-        min_matches: The second goes unheard where with it fewer matches than this would stay.
+        min_matches: The second goes unheard where with it fewer matches than this would stay; tracking needs 30 that
+            agree.
     """
 
     first: MatchSieveConfig = field(
@@ -176,7 +179,7 @@ class ChainConfig:
     second: MatchSieveConfig = field(
         default_factory=MovedSegmentsConfig, metadata={"kinds": Kinds("dynamics.second", SINGLE_SIEVES)}
     )
-    min_matches: int = 20
+    min_matches: int = 40
 
     def build(self, seed: int = 0) -> MatchSieve:
         """Return the chain."""

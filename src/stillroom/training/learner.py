@@ -13,7 +13,7 @@ from stillroom.training.networks.torch_network import arrays, torch_network, tor
 from stillroom.training.pictures.batches import Batch
 from stillroom.training.recipe import Recipe
 
-RISE_STEPS = 50
+RISE_STEPS = 100
 LOWEST = 0.02
 LARGEST_GRADIENT = 5.0
 
@@ -46,9 +46,12 @@ class Learner:
         self._device = device
         self.network = torch_network(architecture).to(device, memory_format=self._torch.channels_last)
         self._called: Any = self.network
-        self._optimizer = self._torch.optim.Adam(
-            self.network.parameters(), lr=recipe.rate, weight_decay=recipe.weight_decay
-        )
+        backbone: list[Any] = []
+        heads: list[Any] = []
+        for name, value in self.network.named_parameters():
+            (backbone if name.startswith("backbone.") else heads).append(value)
+        groups = [{"params": backbone, "times": 1.0}, {"params": heads, "times": recipe.head_rate}]
+        self._optimizer = self._torch.optim.Adam(groups, lr=recipe.rate, weight_decay=recipe.weight_decay)
         self._remember()
 
     def begin_with(self, weights: Mapping[str, F32]) -> None:
@@ -69,7 +72,7 @@ class Learner:
         # What is dropped depends on the step alone, so that a resumed run drops the same.
         torch.manual_seed(self._seed * 1_000_003 + self.step)
         for group in self._optimizer.param_groups:
-            group["lr"] = self.rate
+            group["lr"] = self.rate * group["times"]
         self._called.train()
         rgb, classes, weight = (torch.from_numpy(x).to(self._device) for x in (batch.rgb, batch.classes, batch.weight))
         loss = loss_of(self._called(self._normalised(rgb)), classes, weight, self.architecture, recipe)

@@ -4,6 +4,9 @@ from dataclasses import dataclass, replace
 
 from stillroom.errors import ConfigError
 
+SMALLEST = 33
+"""Least side of a crop [px]: three pixels of the scores."""
+
 
 @dataclass(frozen=True)
 class Variation:
@@ -34,8 +37,9 @@ class Recipe:
     Attributes:
         steps: Batches in all.
         batch: Pictures in a batch.
-        crop: Rows and columns of what the network sees; several, of which each batch has one, are listed in turn.
-        rate: Learning rate.
+        crop: What the network sees, such as "241x321" (rows × columns); of several, each batch has one in turn.
+        rate: Learning rate of the backbone.
+        head_rate: Learning rate of the heads, in rates of the backbone's.
         schedule: "step" (× 0.1 every `epochs_a_step` epochs) or "cosine" (after a short rise, down to a fiftieth).
         epochs_a_step: For "step".
         weight_decay: Towards zero, as a part of the loss (paper).
@@ -51,17 +55,33 @@ class Recipe:
 
     steps: int = 1500
     batch: int = 8
-    crop: tuple[tuple[int, int], ...] = ((321, 321),)
-    rate: float = 2e-4
+    crop: tuple[str, ...] = ("321x321",)
+    rate: float = 3e-5
+    head_rate: float = 2.0
     schedule: str = "cosine"
     epochs_a_step: int = 30
     weight_decay: float = 0.0
-    anchor: float = 1.0
+    anchor: float = 10.0
     auxiliary: float = 0.4
     overlap: float = 0.5
     average: float = 0.995
     shares: tuple[float, float, float] = (0.7, 0.1, 0.2)
     variation: Variation = Variation()
+
+    @property
+    def crops(self) -> list[tuple[int, int]]:
+        """Rows and columns of each crop.
+
+        Raises:
+            ConfigError: One is not written as it should be.
+        """
+        found = []
+        for text in self.crop:
+            rows, times, columns = text.partition("x")
+            if not times or not rows.isdecimal() or not columns.isdecimal() or min(int(rows), int(columns)) < SMALLEST:
+                raise ConfigError(f"crop is '{text}'; write it like 241x321, with sides of {SMALLEST} or more")
+            found.append((int(rows), int(columns)))
+        return found
 
     def check(self) -> None:
         """Refuse impossible values.
@@ -69,9 +89,11 @@ class Recipe:
         Raises:
             ConfigError: Names the key.
         """
-        for key in ("steps", "batch", "rate", "epochs_a_step"):
+        for key in ("steps", "batch", "rate", "head_rate", "epochs_a_step"):
             if getattr(self, key) <= 0:
                 raise ConfigError(f"{key} is {getattr(self, key)}; it must be above 0")
+        if not self.crops:
+            raise ConfigError("crop names no size; write it like 241x321")
         if self.schedule not in ("step", "cosine"):
             raise ConfigError(f"schedule is '{self.schedule}'; it must be 'step' or 'cosine'")
         if not 0.0 <= self.average < 1.0:
@@ -83,8 +105,9 @@ class Recipe:
 PAPER = Recipe(
     steps=12_000,
     batch=8,
-    crop=((481, 641),),
+    crop=("481x641",),
     rate=1e-4,
+    head_rate=1.0,
     schedule="step",
     weight_decay=0.005,
     anchor=0.0,
@@ -94,7 +117,7 @@ PAPER = Recipe(
 )
 """PSPNet-SLAM IV: batch 8, 640×480, learning rate 1e-4 × 0.1 every 30 epochs, weight decay 0.005."""
 
-PRACTICAL = Recipe(crop=((321, 321), (241, 321), (321, 241), (385, 385)))
+PRACTICAL = Recipe(batch=6, crop=("257x257", "241x321", "321x241"))
 """What fits into an hour or two of one CPU core, from weights that are trained already."""
 
 PRESETS = {"paper": PAPER, "practical": PRACTICAL}

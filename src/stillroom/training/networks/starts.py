@@ -87,7 +87,7 @@ def named_weights(stored: Any, network: Architecture, source: Path) -> dict[str,
     Raises:
         WeightsError: A weight is absent or of another shape.
     """
-    inner = stored.get("state_dict", stored) if isinstance(stored, Mapping) else stored
+    inner = stored.get("state_dict", stored) if isinstance(stored, Mapping) else None
     if not isinstance(inner, Mapping):
         raise WeightsError(f"{source}: holds no weights by name")
     found = {
@@ -95,6 +95,8 @@ def named_weights(stored: Any, network: Architecture, source: Path) -> dict[str,
         for name, value in inner.items()
         if hasattr(value, "detach") and not str(name).endswith("num_batches_tracked")
     }
+    if isinstance(mean := stored.get("mean"), Mapping):  # ours: what is told as the result
+        found |= {str(name): np.asarray(value.detach().cpu().float().numpy()) for name, value in mean.items()}
     has_auxiliary = any(name.startswith(AUXILIARY) for name in found)
     return _fitting(found, network.shapes(has_auxiliary), source)
 

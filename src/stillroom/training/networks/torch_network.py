@@ -101,6 +101,9 @@ def _convolution(conv: Conv) -> Any:
         *conv.channels, conv.kernel, conv.stride, conv.padding, conv.dilation, conv.groups, bias=conv.bias
     )
     torch.nn.init.kaiming_normal_(made.weight, mode="fan_in" if conv.groups > 1 else "fan_out", nonlinearity="relu")
+    if conv.to in (LOGITS, AUXILIARY):
+        # A classifier that says nothing yet leaves a trained backbone in peace at first.
+        torch.nn.init.zeros_(made.weight)
     if conv.bias:
         torch.nn.init.zeros_(made.bias)
     return made

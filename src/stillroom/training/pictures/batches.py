@@ -44,13 +44,14 @@ class Batches:
         )
         self._shares = shares / shares.sum()
         self._recipe = recipe
+        self._crops = recipe.crops
         self._seed = seed
         self._process = process
 
     def at(self, step: int) -> Batch:
         """Return the batch of a step."""
         lot = np.random.default_rng((self._seed, step, self._process))
-        crop = self._recipe.crop[step % len(self._recipe.crop)]
+        crop = self._crops[step % len(self._crops)]
         views = [varied(self._drawn(lot), crop, self._recipe.variation, lot) for _ in range(self._recipe.batch)]
         return Batch(
             np.stack([view.rgb.transpose(2, 0, 1) for view in views]),

@@ -1,0 +1,165 @@
+"""`stillroom train pspnet`."""
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from stillroom.cli.arguments import Settings
+
+if TYPE_CHECKING:
+    from stillroom.geometry.arrays import F32
+    from stillroom.training.networks.steps import Architecture
+    from stillroom.training.pictures.example import Example
+    from stillroom.training.pictures.gather import Sources
+
+PEOPLE = "person_masks"
+TEACHER, BACKBONE = "deeplabv3_mobilenetv2_voc.onnx", "mobilenetv2_voc_backbone.npz"
+SCRATCH = "nothing"
+
+
+def train_pspnet(
+    people: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Pictures of people: images/ and masks/. \\[default: person_masks]"),
+    ] = None,
+    rooms: Annotated[
+        list[Path] | None,
+        typer.Option("--room", metavar="DIR", help="An RGB-D sequence in which nobody is; repeatable."),
+    ] = None,
+    domain: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="An RGB-D sequence with people, of which the teacher's word is taken."),
+    ] = None,
+    domain_frames: Annotated[str, typer.Option(metavar="A:B", help="Its frames.")] = "280:561",
+    every: Annotated[int, typer.Option(min=1, metavar="N", help="Use every N-th frame of sequences.")] = 3,
+    backbone: Annotated[str, typer.Option(metavar="NAME", help="mobilenetv2 or resnet50.")] = "mobilenetv2",
+    start: Annotated[
+        Path | None,
+        typer.Option(
+            "--from",
+            metavar="FILE",
+            help="Start from a checkpoint, of ours or OpenMMLab's; 'nothing': random weights. "
+            "\\[default for mobilenetv2: the teacher's backbone and head]",
+        ),
+    ] = None,
+    teacher: Annotated[
+        Path | None, typer.Option(metavar="FILE", help=f"ONNX file of the teacher. \\[default: {TEACHER}]")
+    ] = None,
+    recipe: Annotated[str, typer.Option(metavar="NAME", help="practical, or paper.")] = "practical",
+    settings: Settings = None,
+    out: Annotated[
+        Path, typer.Option(metavar="DIR", help="Folder for checkpoint, log and ONNX file; goes on from what is there.")
+    ] = Path("results/pspnet"),
+    seed: Annotated[int, typer.Option(min=0, metavar="N", help="Where every random choice starts.")] = 0,
+    device: Annotated[str, typer.Option(metavar="NAME", help="cpu or cuda.")] = "cpu",
+    threads: Annotated[int, typer.Option(min=0, metavar="N", help="CPU threads; 0: all that there are.")] = 0,
+    look_every: Annotated[
+        int, typer.Option(min=0, metavar="N", help="Steps between looks at the pictures held out; 0: at the end only.")
+    ] = 0,
+) -> None:
+    """Train PSPNet, which says where people are.
+
+    Learns from pictures with true masks, of which every fifth is held out, and from what a teacher says of all 21
+    classes. Needs torch, which the extra 'train' installs. Stopped, it goes on where the last checkpoint was; on
+    several processes or GPUs it runs under torchrun.
+
+        stillroom train pspnet --room empty_room --domain rgbd_bonn_crowd
+        stillroom train pspnet --recipe paper --backbone resnet50
+        torchrun --nproc-per-node 2 -m stillroom.cli.main train pspnet
+    """
+    from stillroom.cli.output.console import show_log
+    from stillroom.config import with_overrides
+    from stillroom.training.networks.registry import architecture
+    from stillroom.training.networks.torch_network import torch_or_error
+    from stillroom.training.pictures.gather import Sources
+    from stillroom.training.recipe import preset
+    from stillroom.training.train import Plan, train
+
+    show_log()
+    network = architecture(backbone)
+    chosen = with_overrides(preset(recipe), settings or ())
+    chosen.check()
+    processes = int(os.environ.get("WORLD_SIZE", "1"))
+    torch_or_error().set_num_threads(threads or max((os.cpu_count() or 1) // processes, 1))
+    home = people or _sequence(PEOPLE)
+    weights = _start(start, network)
+    sources = Sources(home, tuple(rooms or ()), domain, _frames(domain_frames), every)
+    examples = _examples(sources, teacher or _model(TEACHER))
+    plan = Plan(out, home, backbone, chosen, seed, device, look_every=look_every)
+    train(plan, examples, weights, _line)
+
+
+def _start(start: Path | None, network: "Architecture") -> "dict[str, F32]":
+    """Return the weights to start from."""
+    from stillroom.errors import WeightsError
+    from stillroom.training.networks.starts import backbone_weights, checkpoint_weights, deeplab_head
+
+    if start is not None:
+        return {} if str(start) == SCRATCH else checkpoint_weights(start, network)
+    if network.name == "mobilenetv2":
+        return backbone_weights(_model(BACKBONE), network) | deeplab_head(_model(TEACHER), network)
+    raise WeightsError(
+        f"{network.name} starts from a checkpoint: 'stillroom download models --pspnet-r50', then --from FILE; "
+        f"or --from {SCRATCH}"
+    )
+
+
+def _examples(sources: "Sources", teacher: Path) -> "list[Example]":
+    from stillroom.cli.output.console import say
+    from stillroom.data.locations import cache_folder
+    from stillroom.training.pictures.gather import gather
+    from stillroom.training.pictures.teacher import Teacher
+
+    def report(kind: str, done: int, total: int) -> None:
+        if done == total:
+            say(f"{kind}: {total} pictures")
+
+    return gather(sources, Teacher(teacher, cache_folder() / "teacher"), report)
+
+
+def _line(entry: Mapping[str, Any]) -> None:
+    from stillroom.cli.output.tables import print_lines
+
+    if "held_out" in entry:
+        seen = entry["held_out"]
+        print_lines(
+            [
+                f"step {entry['step']}: person IoU on {seen['pictures']} pictures held out: {seen['mean']:.3f} mean, "
+                f"{seen['total']:.3f} total (at {entry['look_px']} px)"
+            ]
+        )
+        return
+    print_lines([f"step {entry['step']}: loss {entry['loss']:.4f}, rate {entry['rate']:.2g}, {entry['elapsed_s']} s"])
+
+
+def _frames(text: str) -> tuple[int, int]:
+    """Return first and last frame of `A:B`, which is without B as everywhere."""
+    from stillroom.errors import ConfigError
+
+    first, colon, end = text.partition(":")
+    if not colon or not first.isdecimal() or not end.isdecimal() or int(first) >= int(end):
+        raise ConfigError(f"--domain-frames is '{text}'; write it like 280:561")
+    return int(first), int(end) - 1
+
+
+def _sequence(name: str) -> Path:
+    from stillroom.data.locations import sequence_path
+    from stillroom.errors import DatasetError
+
+    found = sequence_path(name)
+    if found is None:
+        raise DatasetError(f"no folder {name} with pictures of people; name one with --people, or set STILLROOM_DATA")
+    return found
+
+
+def _model(name: str) -> Path:
+    from stillroom.data.locations import models_folder
+    from stillroom.errors import WeightsError
+
+    found = models_folder(name)
+    if found is None:
+        raise WeightsError(f"no {name}; set STILLROOM_MODELS to the folder that holds it")
+    return found

@@ -20,45 +20,56 @@ TEACHER, BACKBONE = "deeplabv3_mobilenetv2_voc.onnx", "mobilenetv2_voc_backbone.
 SCRATCH = "nothing"
 
 
+People = Annotated[
+    Path | None, typer.Option(metavar="DIR", help="Pictures of people: images/ and masks/. \\[default: person_masks]")
+]
+Rooms = Annotated[
+    list[Path] | None,
+    typer.Option("--room", metavar="DIR", help="An RGB-D sequence in which nobody is; repeatable."),
+]
+Domain = Annotated[
+    Path | None,
+    typer.Option(metavar="DIR", help="An RGB-D sequence with people, of which the teacher's word is taken."),
+]
+Every = Annotated[int, typer.Option(min=1, metavar="N", help="Use every N-th frame of sequences.")]
+Start = Annotated[
+    Path | None,
+    typer.Option(
+        "--from",
+        metavar="FILE",
+        help="Start from a checkpoint, of ours or OpenMMLab's; 'nothing': random weights. "
+        "\\[default for mobilenetv2: the teacher's backbone and head]",
+    ),
+]
+TeacherFile = Annotated[
+    Path | None, typer.Option(metavar="FILE", help=f"ONNX file of the teacher. \\[default: {TEACHER}]")
+]
+Out = Annotated[
+    Path, typer.Option(metavar="DIR", help="Folder for checkpoint, log and ONNX file; goes on from what is there.")
+]
+Threads = Annotated[int, typer.Option(min=0, metavar="N", help="CPU threads; 0: all that there are.")]
+LookEvery = Annotated[
+    int,
+    typer.Option(min=0, metavar="N", help="Steps between looks at the pictures held out; 0: at the end only."),
+]
+
+
 def train_pspnet(
-    people: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help="Pictures of people: images/ and masks/. \\[default: person_masks]"),
-    ] = None,
-    rooms: Annotated[
-        list[Path] | None,
-        typer.Option("--room", metavar="DIR", help="An RGB-D sequence in which nobody is; repeatable."),
-    ] = None,
-    domain: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help="An RGB-D sequence with people, of which the teacher's word is taken."),
-    ] = None,
+    people: People = None,
+    rooms: Rooms = None,
+    domain: Domain = None,
     domain_frames: Annotated[str, typer.Option(metavar="A:B", help="Its frames.")] = "280:561",
-    every: Annotated[int, typer.Option(min=1, metavar="N", help="Use every N-th frame of sequences.")] = 3,
+    every: Every = 3,
     backbone: Annotated[str, typer.Option(metavar="NAME", help="mobilenetv2 or resnet50.")] = "mobilenetv2",
-    start: Annotated[
-        Path | None,
-        typer.Option(
-            "--from",
-            metavar="FILE",
-            help="Start from a checkpoint, of ours or OpenMMLab's; 'nothing': random weights. "
-            "\\[default for mobilenetv2: the teacher's backbone and head]",
-        ),
-    ] = None,
-    teacher: Annotated[
-        Path | None, typer.Option(metavar="FILE", help=f"ONNX file of the teacher. \\[default: {TEACHER}]")
-    ] = None,
+    start: Start = None,
+    teacher: TeacherFile = None,
     recipe: Annotated[str, typer.Option(metavar="NAME", help="practical, or paper.")] = "practical",
     settings: Settings = None,
-    out: Annotated[
-        Path, typer.Option(metavar="DIR", help="Folder for checkpoint, log and ONNX file; goes on from what is there.")
-    ] = Path("results/pspnet"),
+    out: Out = Path("results/pspnet"),
     seed: Annotated[int, typer.Option(min=0, metavar="N", help="Where every random choice starts.")] = 0,
     device: Annotated[str, typer.Option(metavar="NAME", help="cpu or cuda.")] = "cpu",
-    threads: Annotated[int, typer.Option(min=0, metavar="N", help="CPU threads; 0: all that there are.")] = 0,
-    look_every: Annotated[
-        int, typer.Option(min=0, metavar="N", help="Steps between looks at the pictures held out; 0: at the end only.")
-    ] = 0,
+    threads: Threads = 0,
+    look_every: LookEvery = 0,
 ) -> None:
     """Train PSPNet, which says where people are.
 

@@ -75,12 +75,13 @@ def test_accuracy_gives_the_figures_of_a_run_by_itself(accuracy_figures: tuple[R
     assert benched["n_tracked"] == alone.n_tracked == N_FRAMES
 
 
-def test_rejection_prints_four_rows_and_counts_what_is_kept(tmp_path: Path) -> None:
+def test_rejection_prints_a_row_for_each_way_and_counts_what_is_kept(tmp_path: Path) -> None:
     file = tmp_path / "figures.json"
     result = invoke("rejection", ROOM, "--json", str(file))
     assert result.exit_code == 0, result.output
     rows = {row["method"]: row for row in json.loads(file.read_text())["rows"]}
-    assert list(rows) == ["no rejection", "whole boxes", "the paper's literal rule", "the preset"]
+    ways = ["no rejection", "whole boxes", "the paper's literal rule", "the preset without clusters", "the preset"]
+    assert list(rows) == ways
     for name in rows:
         assert any(line.strip().startswith(name) for line in result.stdout.splitlines())
     dataset = select(open_dataset(ROOM), FRAMES)
@@ -106,11 +107,11 @@ def test_rejection_prints_four_rows_and_counts_what_is_kept(tmp_path: Path) -> N
     assert f"it keeps {more:.1f} % more static keypoints" in result.stdout
 
 
-def test_the_four_ways_differ_in_the_sieve_and_the_clusters_it_asks_for() -> None:
+def test_the_ways_differ_in_the_sieve_and_the_clusters_it_asks_for() -> None:
     preset = method("oc-slam").config
-    four = ways(preset)
-    assert len({type(config.dynamics) for config in four.values()}) == 4
-    for name, config in four.items():
+    found = ways(preset)
+    assert len({type(config.dynamics) for config in found.values()}) == len(found) == 5
+    for name, config in found.items():
         assert isinstance(config.clusters, DepthClustersConfig if name == "the preset" else NoClustersConfig)
         assert replace(config, dynamics=preset.dynamics, clusters=preset.clusters) == preset
 
@@ -161,7 +162,8 @@ def fabricated(seed: int, n_tracked: int, ate_scale: float | None, static: float
         poses[:, :3, 3] += ate_scale * noise
         evaluation = evaluate(replace(truth, T_world_cam=poses), truth, n_given=60)
     boxed = FrameAverages(10, 1000.0, static, 300.0)
-    return Trial(seed, 60, n_tracked, evaluation, boxed, boxed, 0, StageClock())
+    kept = {index: int(static) for index in range(10)}
+    return Trial(seed, 60, n_tracked, evaluation, boxed, boxed, 0, StageClock(), kept)
 
 
 def test_a_row_tells_the_worst_coverage_and_the_gain_of_the_medians() -> None:
@@ -190,6 +192,15 @@ def test_the_verdict_says_higher_and_fewer_where_it_is_so() -> None:
     last = sentences([boxes, preset])[-1]
     assert f"{worse_mm:.1f} mm higher" in last
     assert "25.0 % fewer" in last
+
+
+def test_only_frames_that_both_tracked_are_compared() -> None:
+    def way(kept: dict[int, int]) -> Way:
+        return Way(Accuracy("room", "a way", (replace(fabricated(0, 60, None), kept=kept),)))
+
+    preset, boxes = way({1: 60, 2: 90, 3: 10}), way({1: 40, 2: 60, 7: 900})
+    assert preset.more_kept_percent(boxes) == pytest.approx(50.0)
+    assert preset.more_kept_percent(way({8: 5})) is None
 
 
 def test_ctrl_c_keeps_the_methods_that_are_done(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,7 +1,7 @@
 """One run of a method on a sequence, kept for its figures only."""
 
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -68,6 +68,7 @@ class Trial:
         boxed: Those of them in which something may move; None where there was none.
         first_boxed: Number of the first image in which something may move; None where there was none.
         clock: What the stages cost.
+        kept: Keypoints judged static in each of the frames behind `boxed`, by the frame's number.
     """
 
     seed: int
@@ -78,6 +79,7 @@ class Trial:
     boxed: FrameAverages | None
     first_boxed: int | None
     clock: StageClock
+    kept: Mapping[int, int] = field(default_factory=dict)
 
     @property
     def coverage(self) -> float:
@@ -147,15 +149,17 @@ def attempt(
         raise KeyboardInterrupt
     # A lost frame has no verdict worth counting: nothing was rejected there because nothing was tracked.
     tracked = [result for result in outcome.slam.results if result.T_world_cam is not None]
+    boxed = [result for result in tracked if result.index in noting.occupied]
     return Trial(
         seed=seed,
         n_given=outcome.n_given,
         n_tracked=outcome.n_tracked,
         evaluation=outcome.evaluation,
         tracked=FrameAverages.over(tracked),
-        boxed=FrameAverages.over([result for result in tracked if result.index in noting.occupied]),
+        boxed=FrameAverages.over(boxed),
         first_boxed=min(noting.occupied, default=None),
         clock=outcome.clock,
+        kept={result.index: result.n_static for result in boxed},
     )
 
 

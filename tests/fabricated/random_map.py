@@ -127,8 +127,9 @@ class EventfulLife:
 
 def session(first_keyframe: int = 0, name: str = "room") -> Session:
     """A session with something in every field."""
+    when, config = "2026-01-02T03:04:05+01:00", 'seed = 7\nname = "é"'
     return Session(
-        first_keyframe, "2026-01-02T03:04:05+01:00", "0.1", "abc", name, "oc-slam", 7, 'seed = 7\nname = "é"'
+        first_keyframe, when, "0.1", "abc", name, "oc-slam", 7, "mine.vocabulary", "0123456789abcdef", config
     )
 
 

@@ -17,7 +17,6 @@ from stillroom.geometry.camera import Camera
 from stillroom.storage import StoredMap, load_map, save_map
 from stillroom.storage.check import check_map
 from stillroom.storage.opening import log_of
-from stillroom.storage.stored import VocabularyReference
 from stillroom.storage.writer import MapWriter
 
 
@@ -63,11 +62,11 @@ def test_save_load_save_gives_the_same_content(seed: int, tmp_path: Path) -> Non
     camera = replace(CAMERA, distortion=(0.1, -0.2, 1e-17, 0.3, -5.0), depth_factor=1234.5678901234567)
     runs = session(), session(2, name="another day")
     frames = (*notes(3), *notes(4, number=1))
-    stored = StoredMap(life.world, camera, runs, frames, VocabularyReference("room", "abcd"))
+    stored = StoredMap(life.world, camera, runs, frames)
     first, second = tmp_path / "first.stillmap", tmp_path / "second.stillmap"
     save_map(first, stored)
     again = load_map(first)
-    assert (again.camera, again.sessions, again.vocabulary) == (camera, runs, stored.vocabulary)
+    assert (again.camera, again.sessions) == (camera, runs)
     for found, expected in zip(again.frames, frames, strict=True):
         np.testing.assert_array_equal(found.T_reference_cam, expected.T_reference_cam)
         assert replace(found, T_reference_cam=None) == replace(expected, T_reference_cam=None)

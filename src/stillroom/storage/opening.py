@@ -91,7 +91,7 @@ def reading(path: Path) -> Iterator[sqlite3.Connection]:
     # Without a log nobody is writing: SQLite then needs neither locks nor files beside it.
     how = "mode=ro" if _has_log(path) else "mode=ro&immutable=1"
     with naming(path):
-        connection = sqlite3.connect(f"{path.resolve().as_uri()}?{how}", uri=True)
+        connection = sqlite3.connect(f"{path.resolve().as_uri()}?{how}", uri=True, timeout=0.2)
         connection.text_factory = _text
         try:
             yield connection

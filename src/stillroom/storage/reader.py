@@ -16,7 +16,7 @@ from stillroom.storage.integrity import problems_of_map
 from stillroom.storage.opening import reading
 from stillroom.storage.pictures import Pictures, restore
 from stillroom.storage.schema import KEYPOINTS, OBSERVATIONS, POINT_IDS, POINTS, POSES, Packed
-from stillroom.storage.stored import FrameNote, Session, StoredMap, VocabularyReference
+from stillroom.storage.stored import FrameNote, Session, StoredMap
 
 
 def load_map(path: Path, whole: bool = True) -> StoredMap:
@@ -70,8 +70,8 @@ def _read(database: sqlite3.Connection) -> StoredMap:
     world.covisibility.restore(np.array(edges, dtype=np.int32).reshape(-1, 3))
     world.loop_edges[:] = database.execute("SELECT known, returned FROM loops ORDER BY place").fetchall()
     sessions = database.execute(
-        "SELECT first_keyframe, started, stillroom, source_commit, sequence, method, seed, config FROM sessions"
-        " ORDER BY session"
+        "SELECT first_keyframe, started, stillroom, source_commit, sequence, method, seed,"
+        " vocabulary, vocabulary_digest, config FROM sessions ORDER BY session"
     )
     frames = database.execute(
         "SELECT session, image_index, timestamp_s, reference_keyframe, T_reference_cam FROM frames"
@@ -82,7 +82,6 @@ def _read(database: sqlite3.Connection) -> StoredMap:
         _camera(head),
         tuple(Session(*row) for row in sessions),
         tuple(_frame(row) for row in frames),
-        VocabularyReference(head["vocabulary"], head["vocabulary_sha256"]),
     )
 
 

@@ -25,14 +25,14 @@ CREATE TABLE map (
     k1 REAL NOT NULL, k2 REAL NOT NULL, p1 REAL NOT NULL, p2 REAL NOT NULL, k3 REAL NOT NULL,
     depth_factor REAL NOT NULL, bf REAL NOT NULL,
     scale_factor REAL NOT NULL, n_levels INTEGER NOT NULL,
-    vocabulary TEXT NOT NULL, vocabulary_sha256 TEXT NOT NULL,
     n_points INTEGER NOT NULL
 );
 CREATE TABLE sessions (
     session INTEGER PRIMARY KEY,
     first_keyframe INTEGER NOT NULL,
     started TEXT NOT NULL, stillroom TEXT NOT NULL, source_commit TEXT NOT NULL,
-    sequence TEXT NOT NULL, method TEXT NOT NULL, seed INTEGER NOT NULL, config TEXT NOT NULL
+    sequence TEXT NOT NULL, method TEXT NOT NULL, seed INTEGER NOT NULL,
+    vocabulary TEXT NOT NULL, vocabulary_digest TEXT NOT NULL, config TEXT NOT NULL
 );
 CREATE TABLE keyframes (
     keyframe INTEGER PRIMARY KEY,

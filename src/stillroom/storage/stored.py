@@ -20,6 +20,8 @@ class Session:
         sequence: Name of the sequence.
         method: Name of the method.
         seed: Where every random choice started.
+        vocabulary: The file of the vocabulary by which it recognised places; "" for the one that is shipped.
+        vocabulary_digest: Names that very vocabulary. No words are stored: they are looked up anew.
         config: The effective config as TOML.
     """
 
@@ -30,6 +32,8 @@ class Session:
     sequence: str
     method: str
     seed: int
+    vocabulary: str
+    vocabulary_digest: str
     config: str
 
 
@@ -60,19 +64,6 @@ class FrameNote:
 
 
 @dataclass(frozen=True)
-class VocabularyReference:
-    """Which vocabulary the words of the keypoints are of; empty where none was used.
-
-    Attributes:
-        name: Its name.
-        sha256: Hash of its file.
-    """
-
-    name: str = ""
-    sha256: str = ""
-
-
-@dataclass(frozen=True)
 class StoredMap:
     """All that a map file holds, but the images of its keyframes.
 
@@ -81,11 +72,9 @@ class StoredMap:
         camera: The camera that took it.
         sessions: The runs that made it, oldest first.
         frames: The frames that they tracked, in order of session and image.
-        vocabulary: The vocabulary of its words.
     """
 
     world: Map
     camera: Camera
     sessions: tuple[Session, ...] = ()
     frames: tuple[FrameNote, ...] = ()
-    vocabulary: VocabularyReference = VocabularyReference()

@@ -13,9 +13,7 @@ from stillroom.storage import opening
 from stillroom.storage.changes import Changes, insert
 from stillroom.storage.pictures import Pictures
 from stillroom.storage.schema import POSES
-from stillroom.storage.stored import FrameNote, Session, StoredMap, VocabularyReference
-
-NO_VOCABULARY = VocabularyReference()
+from stillroom.storage.stored import FrameNote, Session, StoredMap
 
 
 def save_map(path: Path, stored: StoredMap) -> None:
@@ -24,7 +22,7 @@ def save_map(path: Path, stored: StoredMap) -> None:
     Raises:
         MapError: The file exists already or cannot be written.
     """
-    with MapWriter.create(path, stored.world, stored.camera, stored.vocabulary) as writer:
+    with MapWriter.create(path, stored.world, stored.camera) as writer:
         for session in stored.sessions:
             writer.begin(session)
         writer.commit(stored.frames)
@@ -43,9 +41,7 @@ class MapWriter:
         self._is_open = True
 
     @classmethod
-    def create(
-        cls, path: Path, world: Map, camera: Camera, vocabulary: VocabularyReference = NO_VOCABULARY
-    ) -> "MapWriter":
+    def create(cls, path: Path, world: Map, camera: Camera) -> "MapWriter":
         """Start a new file.
 
         Raises:
@@ -54,7 +50,7 @@ class MapWriter:
         sizes = camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy
         depth = camera.depth_factor, camera.bf
         scales = world.scales.factor, world.scales.count
-        head = (1, *sizes, *camera.distortion, *depth, *scales, *astuple(vocabulary), 0)
+        head = (1, *sizes, *camera.distortion, *depth, *scales, 0)
         writer = cls(opening.create(path), path, world, Changes(world))
         with writer._transaction() as database:
             insert(database, "map", [head])

@@ -32,7 +32,6 @@ def info(path: MapPath) -> None:
             f"{n_submaps} sub-map{'' if n_submaps == 1 else 's'}, {len(world.loop_edges)} loops closed",
             f"camera: {camera.width}×{camera.height}, fx {camera.fx:g}, fy {camera.fy:g}, cx {camera.cx:g}, "
             f"cy {camera.cy:g}; {world.scales.count} pyramid levels of {world.scales.factor:g}",
-            f"vocabulary: {stored.vocabulary.name or 'none'}",
             f"images of {n_images} keyframes, for dense maps" if n_images else "no images of keyframes",
         ]
     )

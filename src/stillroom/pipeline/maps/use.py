@@ -10,6 +10,7 @@ from stillroom.config import SlamConfig, to_toml
 from stillroom.data.map import Map
 from stillroom.dense.nothing import NoDenseMapConfig
 from stillroom.errors import MapError
+from stillroom.features.places.vocabulary import load_vocabulary
 from stillroom.geometry.camera import Camera
 from stillroom.pipeline.provenance import provenance
 from stillroom.protocols import Dataset
@@ -142,7 +143,7 @@ def _described(camera: Camera) -> str:
 
 
 def _session(world: Map, config: SlamConfig, dataset: Dataset) -> Session:
-    origin = provenance()
+    origin, vocabulary = provenance(), config.places.vocabulary
     return Session(
         first_keyframe=len(world.keyframes),
         started=origin["date"],
@@ -151,5 +152,7 @@ def _session(world: Map, config: SlamConfig, dataset: Dataset) -> Session:
         sequence=dataset.name,
         method=config.method,
         seed=config.seed,
+        vocabulary="" if vocabulary is None else vocabulary.name,
+        vocabulary_digest=load_vocabulary(vocabulary).digest,
         config=to_toml(config),
     )

@@ -6,7 +6,7 @@ import numpy as np
 
 from stillroom.config import SlamConfig
 from stillroom.data.image import RgbdImage
-from stillroom.data.map import Map
+from stillroom.data.map import Map, submaps
 from stillroom.data.result import FrameResult, Tracked
 from stillroom.data.semantics import Semantics
 from stillroom.data.trajectory import Trajectory
@@ -16,6 +16,7 @@ from stillroom.features.places.place_memory import PlaceMemory
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64
 from stillroom.geometry.camera import Camera
+from stillroom.loops.joining import SubmapJoiner
 from stillroom.loops.loop_closer import LoopClosing
 from stillroom.mapping.local_mapper import LocalMapper
 from stillroom.protocols import (
@@ -51,6 +52,7 @@ class Slam:
     keyframe_policy: KeyframePolicy
     mapper: LocalMapper
     places: PlaceMemory
+    joiner: SubmapJoiner
     loop_closer: LoopClosing
     dense_mapper: DenseMapping
     keeper: MapKeeping
@@ -73,31 +75,38 @@ class Slam:
             keyframe = self.mapper.insert(tracked)  # now: points from depth, from static keypoints only
             self.schedule.submit(self.mapper.refine, keyframe)  # later: triangulate, fuse, adjust, cull
             self.schedule.submit(self.places.remember, keyframe)  # what it looks like; culled ones are forgotten
+            self.schedule.submit(self.joiner.join, keyframe)  # pieces of map become one where a place is recognised
             self.schedule.submit(self.loop_closer.close, keyframe)  # a place seen again puts the whole map right
             self.schedule.submit(self.keeper.keep, keyframe, image, tracked.motion.moving)  # on disk, where wanted
         self._map_densely(tracked, keyframe)
         return self._conclude(tracked, semantics, keyframe)
 
     def trajectory(self) -> Trajectory:
-        """Return the final poses: each frame on its reference keyframe, wherever that is now; lost frames left out."""
-        stamps, poses = [], []
-        for result in self.results:
-            if result.T_reference_cam is not None:
-                stamps.append(result.timestamp_s)
-                poses.append(self.map.keyframe_pose(result.reference_keyframe) @ result.T_reference_cam)
-        return _trajectory(stamps, poses)
+        """Return the final poses: each frame on its reference keyframe, wherever that is now.
+
+        Lost frames are left out, and those in sub-maps that were never joined with the main one.
+        """
+        placed = self._in_main()
+        poses = [self._pose_now(result) for result in placed]
+        return _trajectory([result.timestamp_s for result in placed], poses)
 
     def online_trajectory(self) -> Trajectory:
-        """Return the poses as `process` returned them."""
-        placed = [(r.timestamp_s, r.T_world_cam) for r in self.results if r.T_world_cam is not None]
+        """Return the poses as `process` returned them, of frames that were in the main sub-map at that moment."""
+        main = submaps.main(self.map)
+        placed = [(r.timestamp_s, r.T_world_cam) for r in self.results if r.T_world_cam is not None if r.submap == main]
         return _trajectory([stamp for stamp, _ in placed], [pose for _, pose in placed])
 
     def keyframe_trajectory(self) -> Trajectory:
-        """Return the poses of the keyframes of this run; those of earlier runs have times of their own."""
-        alive = self.map.alive_keyframes()
-        alive = alive[alive >= self.first_keyframe]
+        """Return the poses of this run's keyframes in the main sub-map; earlier runs have times of their own."""
         keyframes = self.map.keyframes
-        return _trajectory(list(keyframes.timestamp_s[alive]), list(keyframes.T_world_cam[alive]))
+        chosen = np.flatnonzero(keyframes.is_alive & (keyframes.submap == submaps.main(self.map)))
+        chosen = chosen[chosen >= self.first_keyframe]
+        return _trajectory(list(keyframes.timestamp_s[chosen]), list(keyframes.T_world_cam[chosen]))
+
+    def apart(self) -> list[FrameResult]:
+        """Return the frames that were tracked in sub-maps that are not joined with the main one."""
+        in_main = {result.index for result in self._in_main()}
+        return [result for result in self.results if result.T_world_cam is not None and result.index not in in_main]
 
     def close(self) -> None:
         """Finish the work that is still under way, and let the whole map come to rest."""
@@ -143,6 +152,15 @@ class Slam:
         self.keeper.note(result)
         self.observer.on_frame(tracked, semantics.result(), result)
         return result
+
+    def _in_main(self) -> list[FrameResult]:
+        """Return the frames that have a pose in the main sub-map by now."""
+        main, submap = submaps.main(self.map), self.map.keyframes.submap
+        return [r for r in self.results if r.T_reference_cam is not None and submap[r.reference_keyframe] == main]
+
+    def _pose_now(self, result: FrameResult) -> F64:
+        assert result.T_reference_cam is not None
+        return self.map.keyframe_pose(result.reference_keyframe) @ result.T_reference_cam
 
     def _submap_of(self, tracked: Tracked) -> int:
         known = tracked.reference_keyframe >= 0
@@ -190,6 +208,7 @@ def build(
     places.remember_all()
     recovery = config.recovery.build(tracker, places, config.seed)
     dense_mapper = config.dense.build(camera, world)
+    joiner = config.joining.build(camera, world, places, config.seed, after=(dense_mapper.refresh,))
     loop_closer = config.loops.build(camera, world, places, config.seed, after=(dense_mapper.refresh,))
     return Slam(
         schedule=schedule or InOrder(),
@@ -204,6 +223,7 @@ def build(
             config.mapping.build(camera, world), clock, insert="keyframe", refine="mapping", finish="rest"
         ),
         places=timed_part(places, clock, remember="places"),
+        joiner=timed_part(joiner, clock, join="joining"),
         loop_closer=timed_part(loop_closer, clock, close="loops"),
         dense_mapper=timed_part(dense_mapper, clock, integrate="dense", carve="carving"),
         keeper=timed_part(keeper, clock, keep="storage") if keeper else NoKeeper(),

@@ -9,6 +9,8 @@ from stillroom.data.map.tables import KeyframeTable
 class PosedKeyframes(Map):
     """A map of keyframes without points."""
 
+    n_submaps = 1
+
     def __init__(self, poses: np.ndarray) -> None:
         self.keyframes = KeyframeTable(max(1, len(poses)))
         for k, T_world_cam in enumerate(poses):

@@ -23,6 +23,7 @@ from stillroom.dense.nothing import NoDenseMapConfig
 from stillroom.dynamics.keep_all import KeepAllConfig, KeepAllKeypointsConfig
 from stillroom.features.orb import OrbConfig
 from stillroom.features.places.place_memory import PlacesConfig
+from stillroom.loops.joining import JoiningConfig
 from stillroom.loops.loop_closer import LoopsConfig
 from stillroom.mapping.local_mapper import LocalMapperConfig
 from stillroom.semantics.depth_clusters import NoClustersConfig
@@ -49,6 +50,7 @@ class SlamConfig:
         features: Keypoints.
         places: What keyframes look like, for recognising where the camera is.
         tracking, recovery, keyframes, mapping, loops: ORB-SLAM2's parts.
+        joining: When pieces of map become one.
         dense: The dense map (sieve 3); `kind` chooses the part.
         storage: What a map file keeps beside the map, where a run writes one.
     """
@@ -67,5 +69,6 @@ class SlamConfig:
     keyframes: KeyframePolicyConfig = field(default_factory=KeyframePolicyConfig)
     mapping: LocalMapperConfig = field(default_factory=LocalMapperConfig)
     loops: LoopsConfig = field(default_factory=LoopsConfig)
+    joining: JoiningConfig = field(default_factory=JoiningConfig)
     dense: DenseMappingConfig = field(default_factory=NoDenseMapConfig, metadata={"kinds": DENSE})
     storage: MapKeeperConfig = field(default_factory=MapKeeperConfig)

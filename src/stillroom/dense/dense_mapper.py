@@ -7,7 +7,7 @@ import numpy as np
 
 from stillroom.data.cloud.dense_cloud import DenseCloud
 from stillroom.data.image import RgbdImage
-from stillroom.data.map import Map
+from stillroom.data.map import Map, submaps
 from stillroom.dense.carving import Carver, CarvingConfig
 from stillroom.dense.cloud_store import CloudStore
 from stillroom.dense.fused_views import FusedViews
@@ -15,6 +15,7 @@ from stillroom.dense.keyframe_cloud import CloudMaker, KeyframeCloud, SurfaceCon
 from stillroom.dense.surface_kernels import I8
 from stillroom.dense.voxels.extraction import extract
 from stillroom.dense.voxels.fusing_kernels import FULL_WEIGHT, SCORE, WEIGHT
+from stillroom.dense.voxels.hash_kernels import unpack
 from stillroom.dense.voxels.swapped_blocks import SwappedBlocks
 from stillroom.dense.voxels.voxel_map import VoxelMap
 from stillroom.dense.witnesses import lens_of
@@ -164,13 +165,16 @@ class DenseMapper:
         self._correct(None)
 
     def cloud(self) -> DenseCloud:
-        """Return the static scene as known now. `refresh` first where poses may have changed."""
+        """Return the static scene of the main sub-map as known now. `refresh` first where poses may have changed."""
         swapped, config = self._swapped.read_all(), self.config
         key = np.concatenate((self.voxels.key, swapped["key"]))
         rows = np.concatenate((self.voxels.rows, swapped["row"]))
         shown = rows[:, WEIGHT] >= max(1.0, config.least_pixels * FULL_WEIGHT)
         if config.carving.removal:
             shown &= rows[:, SCORE] > 0
+        if self.world.n_submaps > 1:
+            centres_m = (unpack(key) + 0.5) * config.voxel_m
+            shown &= submaps.lies_in(submaps.main(self.world), centres_m)
         return extract(key[shown], rows[shown], config.voxel_m, config.layer_voxels)
 
     def _fuse(self, view: int, image: RgbdImage, excluded: Bool | None, T_world_cam: F64) -> None:

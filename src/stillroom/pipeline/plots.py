@@ -3,7 +3,10 @@
 from collections.abc import Mapping
 from pathlib import Path
 
+import numpy as np
+
 from stillroom.data.cloud.dense_cloud import DenseCloud
+from stillroom.data.map import submaps
 from stillroom.data.trajectory import Trajectory
 from stillroom.evaluation.ate import ate
 from stillroom.system import Slam
@@ -46,16 +49,18 @@ def draw_plots(
 
 
 def draw_maps(folder: Path, slam: Slam, cloud: DenseCloud | None, title: str) -> None:
-    """Draw the sparse map, and the dense one where there is one; nothing before there is a keyframe.
+    """Draw the main sub-map, sparse and, where there is one, dense; nothing before there is a keyframe.
 
     Raises:
         StillroomError: A file cannot be written.
     """
-    keyframes = slam.map.keyframes.T_world_cam[slam.map.alive_keyframes()]
+    table, points, main = slam.map.keyframes, slam.map.points, submaps.main(slam.map)
+    keyframes = table.T_world_cam[table.is_alive & (table.submap == main)]
     if len(keyframes) == 0:
         return
-    points = slam.map.points
-    draw_sparse_map(folder / SPARSE_MAP, points.position_m[points.is_alive], keyframes, slam.trajectory(), title=title)
+    ids = np.flatnonzero(points.is_alive)
+    ids = ids[submaps.of_points(ids, slam.map) == main]
+    draw_sparse_map(folder / SPARSE_MAP, points.position_m[ids], keyframes, slam.trajectory(), title=title)
     if cloud is not None and len(cloud):
         view = default_view(cloud, keyframes)
         write_png(folder / DENSE_MAP, CloudRendererConfig().build().render(cloud, view))

@@ -5,7 +5,8 @@ config.toml              the effective config; in `[run]`, which configures noth
 trajectory.tum           final poses: each frame on its reference keyframe's corrected pose
 trajectory_online.tum    poses as they were known when the frame was tracked
 keyframes.tum            keyframes of the map
-frames.csv               every image with its state: tracked, lost, or unreadable
+frames.csv               every image with its state: tracked, lost, or unreadable; the piece of map that its pose is
+                         in by now, and how it was found where the camera had been lost
 timing.csv               what each stage cost in each frame
 groundtruth.tum          true poses as the data set gives them, where it does
 groundtruth_camera.tum   the same moved to the camera, where the given ones are another body's
@@ -28,7 +29,8 @@ import numpy as np
 
 from stillroom.config import SlamConfig, to_toml
 from stillroom.data.cloud.dense_cloud import DenseCloud
-from stillroom.data.result import FrameResult
+from stillroom.data.map import submaps
+from stillroom.data.result import Recovery
 from stillroom.data.trajectory import Trajectory, read_tum
 from stillroom.datasets.bonn import CAMERA, MARKER, camera_groundtruth
 from stillroom.dense.export.cloud_file import NAME as DENSE
@@ -42,6 +44,7 @@ from stillroom.pipeline.options import RunOptions
 from stillroom.pipeline.outcome import RunOutcome
 from stillroom.pipeline.provenance import provenance
 from stillroom.protocols import Dataset
+from stillroom.system import Slam
 
 CONFIG = "config.toml"
 FINAL, ONLINE, KEYFRAMES = "trajectory.tum", "trajectory_online.tum", "keyframes.tum"
@@ -107,7 +110,7 @@ def write_results(folder: Path, outcome: RunOutcome, truth: Truth | None) -> Non
         slam.trajectory().write_tum(folder / FINAL)
         slam.online_trajectory().write_tum(folder / ONLINE)
         slam.keyframe_trajectory().write_tum(folder / KEYFRAMES)
-        _write_frames(folder / FRAMES, slam.results, outcome.bad)
+        _write_frames(folder / FRAMES, slam, outcome.bad)
         outcome.clock.write_csv(folder / TIMING)
         if truth is not None:
             truth.write(folder)
@@ -154,15 +157,27 @@ def count_frames(folder: Path) -> int | None:
         return None
 
 
-def _write_frames(path: Path, frames: Sequence[FrameResult], bad: Sequence[tuple[int, float]]) -> None:
-    rows = [
-        (r.index, f"{r.timestamp_s:.6f}", r.state.value, r.n_keypoints, r.n_static, r.n_inliers, int(r.is_keyframe))
-        for r in frames
+def _write_frames(path: Path, slam: Slam, bad: Sequence[tuple[int, float]]) -> None:
+    submap = slam.map.keyframes.submap
+    rows: list[tuple[Any, ...]] = [
+        (
+            r.index,
+            f"{r.timestamp_s:.6f}",
+            r.state.value,
+            r.n_keypoints,
+            r.n_static,
+            r.n_inliers,
+            int(r.is_keyframe),
+            "" if r.T_world_cam is None else int(submap[r.reference_keyframe]),
+            "" if r.recovery is Recovery.NONE else r.recovery.value,
+        )
+        for r in slam.results
     ]
-    rows += [(number, f"{time_s:.6f}", UNREADABLE, 0, 0, 0, 0) for number, time_s in bad]
+    rows += [(number, f"{time_s:.6f}", UNREADABLE, 0, 0, 0, 0, "", "") for number, time_s in bad]
+    header = ("frame", "timestamp_s", "state", "keypoints", "static", "inliers", "is_keyframe", "submap", "recovery")
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow(["frame", "timestamp_s", "state", "keypoints", "static", "inliers", "is_keyframe"])
+        writer.writerow(header)
         writer.writerows(sorted(rows))
 
 
@@ -174,6 +189,8 @@ def _run_figures(outcome: RunOutcome) -> dict[str, Any]:
     return {
         "n_unreadable": outcome.n_bad,
         "interrupted": outcome.interrupted,
+        "n_in_unjoined_submaps": outcome.n_apart,
+        "n_submaps": len(submaps.unjoined(world)),
         "n_keyframes": len(world.alive_keyframes()),
         "n_points": int(world.points.is_alive.sum()),
         "keypoints_mean": _mean([r.n_keypoints for r in tracked]),

@@ -8,7 +8,7 @@ import numpy as np
 
 from stillroom.data.map.map import Map
 from stillroom.geometry import se3
-from stillroom.geometry.arrays import F64, I64, Ints
+from stillroom.geometry.arrays import F64, I64, Bool, Floats, Ints
 
 SPACING_M = 500.0
 _IN_A_ROW = 32
@@ -19,6 +19,11 @@ def origin(submap: int) -> F64:
     T = np.eye(4)
     T[:2, 3] = SPACING_M * (submap % _IN_A_ROW), SPACING_M * (submap // _IN_A_ROW)
     return T
+
+
+def lies_in(submap: int, positions_m: Floats) -> Bool:
+    """Tell which positions (N, 3) [m, world] lie in the region of a sub-map."""
+    return np.asarray(np.abs(positions_m - origin(submap)[:3, 3]).max(axis=1) < SPACING_M / 2, dtype=np.bool_)
 
 
 def unjoined(world: Map) -> I64:

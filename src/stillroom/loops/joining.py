@@ -1,0 +1,142 @@
+"""Joining sub-maps: when a keyframe of one shows a place of another, they become one."""
+
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from stillroom.data.map import Map, submaps
+from stillroom.features.places.place_memory import PlaceMemory
+from stillroom.geometry import se3
+from stillroom.geometry.camera import Camera
+from stillroom.loops.correction import fuse_group
+from stillroom.loops.global_bundle import GlobalBundle
+from stillroom.loops.recognition.verification import Loop, VerificationConfig
+from stillroom.loops.snapshot import Snapshot
+from stillroom.loops.verdict import LinkChange, judge
+from stillroom.optimize.bundle import BundleConfig
+
+logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class JoiningConfig:
+    """When sub-maps are joined.
+
+    Attributes:
+        enabled: Whether they are.
+        n_places: Places that look alike to try with each new keyframe.
+        verification: What is taken for the same place; as many points as relocalization asks for.
+        max_lost_share: Share of the observations that may stop fitting through it; beyond it is undone.
+        min_kept_share: Share of what was joined that must fit afterwards.
+        bundle: The optimiser that adjusts both together.
+    """
+
+    enabled: bool = True
+    n_places: int = 5
+    verification: VerificationConfig = field(default_factory=lambda: VerificationConfig(min_total=50))
+    max_lost_share: float = 0.05
+    min_kept_share: float = 0.5
+    bundle: BundleConfig = field(default_factory=BundleConfig)
+
+    def build(
+        self,
+        camera: Camera,
+        world: Map,
+        places: PlaceMemory,
+        seed: int = 0,
+        after: Sequence[Callable[[], None]] = (),
+    ) -> "SubmapJoiner":
+        """Return the joiner of a map's sub-maps.
+
+        Args:
+            camera: The calibration of all keyframes.
+            world: The map.
+            places: Knows its keyframes by their looks.
+            seed: Where every random choice starts.
+            after: Called when sub-maps were joined: what must follow the keyframes to where they are now.
+        """
+        return SubmapJoiner(self, camera, world, places, seed, after)
+
+
+class SubmapJoiner:
+    """Asked with every new keyframe, in order; costs nothing while the map is in one piece.
+
+    Attributes:
+        joined: What was recognised each time that sub-maps were joined.
+    """
+
+    def __init__(
+        self,
+        config: JoiningConfig,
+        camera: Camera,
+        world: Map,
+        places: PlaceMemory,
+        seed: int,
+        after: Sequence[Callable[[], None]],
+    ) -> None:
+        """Start with nothing joined."""
+        self.config, self.camera, self.world, self.places = config, camera, world, places
+        self.joined: list[Loop] = []
+        self._verifier = config.verification.build(camera, seed)
+        self._adjust = config.bundle.build()
+        self._after = tuple(after)
+
+    def join(self, keyframe: int) -> bool:
+        """Look whether a keyframe shows a place of another sub-map; lay the younger one onto the older one then."""
+        table, index = self.world.keyframes, self.places.index
+        if not self.config.enabled or self.world.n_submaps < 2 or keyframe not in index:
+            return False
+        elsewhere = table.is_alive & (table.submap != table.submap[keyframe])
+        if not elsewhere.any():
+            return False
+        for candidate in self.places.candidates(index.bag(keyframe), elsewhere, self.config.n_places):
+            place = self._verifier.verify(keyframe, int(candidate), index, self.world)
+            if place is not None and self._join(place):
+                self.joined.append(place)
+                for follow in self._after:
+                    follow()
+                return True
+        return False
+
+    def _join(self, place: Loop) -> bool:
+        """Join for a place, and undo it where the map had to give up what it knew."""
+        world = self.world
+        with world.lock:
+            before = Snapshot(world)
+            kept = lay_together(place, world)
+            neighbours = world.covisibility.neighbours
+            there = [place.candidate, *neighbours(place.candidate)]
+            here = [place.keyframe, *neighbours(place.keyframe)]
+            fuse_group(place, there, here, self.camera, world)
+            links = LinkChange.since(before, world)
+            members = np.flatnonzero(world.keyframes.is_alive & (world.keyframes.submap == kept))
+            bundle = GlobalBundle(members, world)
+            bundle.commit(bundle.solve(self.camera, self._adjust), world)
+            verdict = judge(before, links, world, self.camera)
+            right = verdict.lost_share <= self.config.max_lost_share
+            right &= verdict.kept_share >= self.config.min_kept_share
+            if not right:
+                before.restore(world)
+        logger.info(
+            "keyframe %d shows the place of %d in another sub-map, %d points: %s, %s",
+            place.keyframe,
+            place.candidate,
+            len(place.rows),
+            verdict,
+            "joined" if right else "undone",
+        )
+        return right
+
+
+def lay_together(place: Loop, world: Map) -> int:
+    """Move the younger of two sub-maps to where a place that both show says it lies; return the older one's id."""
+    table = world.keyframes
+    own, other = int(table.submap[place.keyframe]), int(table.submap[place.candidate])
+    T_other_own = place.T_world_cam @ se3.inverse(table.T_world_cam[place.keyframe])
+    if other < own:
+        submaps.join(own, other, T_other_own, place.candidate, world)
+    else:
+        submaps.join(other, own, se3.inverse(T_other_own), place.keyframe, world)
+    return min(own, other)

@@ -61,7 +61,9 @@ class Ring:
         return np.linalg.norm(moved[:, :3, 3] - self.T_true[:, :3, 3], axis=1)
 
 
-def ring(seed: int = 0, n: int = 44, laps: float = 1.15, drift_m: float = 0.8, drift_rad: float = 0.15) -> Ring:
+def ring(
+    seed: int = 0, n: int = 44, laps: float = 1.15, drift_m: float = 0.8, drift_rad: float = 0.15, noise_px: float = 0.3
+) -> Ring:
     """Map the walk; on the second lap everything is new to the map, and it lies off by the drift."""
     world, T_true = ring_world(seed, 3000), poses_of_ring(n, laps)
     small = SmallMap(world)
@@ -70,7 +72,7 @@ def ring(seed: int = 0, n: int = 44, laps: float = 1.15, drift_m: float = 0.8, d
         if k == first_round - 6:
             forgotten = np.unique(np.concatenate(small.seen[:8]))
             small.id_of[forgotten] = -1
-        small.add(pose, noise_px=0.3, flips=8)
+        small.add(pose, noise_px=noise_px, flips=8)
     rng = np.random.default_rng(seed)
     axis = rng.normal(size=(2, 3))
     axis /= np.linalg.norm(axis, axis=1, keepdims=True)

@@ -43,10 +43,8 @@ def fuse(point_ids: I32, keyframe: int, camera: Camera, world: Map) -> None:
     """
     rows = world.rows(keyframe)
     table, points = world.keypoints, world.points
-    is_seen = np.zeros(len(points), dtype=np.bool_)
-    own = world.points_of(keyframe)
-    is_seen[own[own >= 0]] = True
-    ids = point_ids[~is_seen[point_ids] & points.is_alive[point_ids]]
+    ids = world.without(point_ids, world.points_of(keyframe))
+    ids = ids[points.is_alive[ids]]
     projection = project_points(
         se3.inverse(world.keyframes.T_world_cam[keyframe]),
         camera,

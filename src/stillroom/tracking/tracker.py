@@ -191,10 +191,7 @@ class Tracker:
         self, frame: Frame, fix: _Fix, reference: int, semantics: Pending[Semantics], world: Map
     ) -> Tracked:
         surroundings = local_map.select(fix.point_ids, reference, world)
-        is_known = np.zeros(len(world.points), dtype=np.bool_)
-        is_known[fix.rejected] = True
-        is_known[fix.point_ids[fix.point_ids >= 0]] = True
-        missing = surroundings.points[~is_known[surroundings.points]]
+        missing = world.without(surroundings.points, np.concatenate((fix.point_ids, fix.rejected)))
         found, visible = correspondences.with_points(
             frame, missing, fix.point_ids < 0, fix.T_cam_world, world, self.config.local_window
         )

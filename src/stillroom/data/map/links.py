@@ -3,7 +3,7 @@
 import numpy as np
 from numba import njit
 
-from stillroom.geometry.arrays import F32, F64, I32, I64, U64, Bool
+from stillroom.geometry.arrays import F32, F64, I32, I64, U64
 from stillroom.geometry.hamming import popcount64
 
 MAX_DESCRIPTORS = 20
@@ -195,13 +195,3 @@ def viewing_geometry(
         normals[p, 0], normals[p, 1], normals[p, 2] = nx / length, ny / length, nz / length
         max_distance_m[p] = distance * scale_factors[octave]
         min_distance_m[p] = max_distance_m[p] / scale_factors[-1]
-
-
-@njit(nogil=True, cache=True)
-def mark_seen(keyframes: I64, first_row: I64, n_rows: I64, row_point: I32, is_seen: Bool) -> None:
-    """Set `is_seen` (P,) for all points that any of the keyframes sees."""
-    for i in range(len(keyframes)):
-        start = first_row[keyframes[i]]
-        for row in range(start, start + n_rows[keyframes[i]]):
-            if row_point[row] >= 0:
-                is_seen[row_point[row]] = True

@@ -5,7 +5,7 @@ import threading
 import numpy as np
 
 from stillroom.data.frame import Frame, ScaleLevels
-from stillroom.data.map import links
+from stillroom.data.map import links, marks
 from stillroom.data.map.covisibility import Covisibility
 from stillroom.data.map.tables import KeyframeTable, KeypointTable, PointTable
 from stillroom.geometry import se3
@@ -37,6 +37,7 @@ class Map:
         self.jumps: list[F64] = []
         self.loop_edges: list[tuple[int, int]] = []
         self._n_submaps = 0
+        self._marks = marks.Marks()
 
     # Keyframes
 
@@ -97,12 +98,17 @@ class Map:
 
     def points_seen_by(self, keyframes: Ints) -> I32:
         """Return the points (P,) that any of the keyframes (K,) sees, in order of id."""
-        is_seen = np.zeros(len(self.points), dtype=np.bool_)
-        table = self.keyframes
-        links.mark_seen(
-            np.asarray(keyframes, dtype=np.int64), table.first_row, table.n_rows, self.keypoints.point, is_seen
-        )
-        return np.flatnonzero(is_seen).astype(np.int32)
+        table, ids = self.keyframes, np.asarray(keyframes, dtype=np.int64)
+        found = np.empty(int(table.n_rows[ids].sum()), dtype=np.int32)
+        scratch = self._marks.fresh(len(self.points))
+        n = marks.collect(ids, table.first_row, table.n_rows, self.keypoints.point, *scratch, found)
+        return np.sort(found[:n])
+
+    def without(self, point_ids: I32, excluded: I32) -> I32:
+        """Return those of points (P,) that are not among others (Q,), of which −1 is skipped, in their order."""
+        kept = np.empty(len(point_ids), dtype=np.int32)
+        n = marks.keep_others(point_ids, excluded, *self._marks.fresh(len(self.points)), kept)
+        return kept[:n]
 
     def alive_keyframes(self) -> I64:
         """Return the ids of the keyframes that were not culled, oldest first."""

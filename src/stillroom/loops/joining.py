@@ -117,7 +117,10 @@ class SubmapJoiner:
             verdict = judge(before, links, world, self.camera)
             right = verdict.lost_share <= self.config.max_lost_share
             right &= verdict.kept_share >= self.config.min_kept_share
-            if not right:
+            if right:
+                T_world_old = before.T_world_cam[place.keyframe]
+                world.jumps.append(world.keyframes.T_world_cam[place.keyframe] @ se3.inverse(T_world_old))
+            else:
                 before.restore(world)
         logger.info(
             "keyframe %d shows the place of %d in another sub-map, %d points: %s, %s",

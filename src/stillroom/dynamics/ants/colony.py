@@ -12,6 +12,8 @@ from stillroom.geometry.arrays import F64, I64
 class ColonyConfig:
     """The colony. The paper names these numbers without giving values.
 
+    Its pheromone stays from image to image, so that few ants and rounds do.
+
     Attributes:
         alpha: Weight of the pheromone (α).
         beta: Weight of nearness (β): the greater, the greedier. High, because a few rounds must do.
@@ -21,13 +23,13 @@ class ColonyConfig:
     """
 
     alpha: float = 1.0
-    beta: float = 10.0
+    beta: float = 6.0
     rho: float = 0.5
     ants: int = 8
-    rounds: int = 6
+    rounds: int = 2
 
 
-def shortest_found(nodes_px: F64, start: int, end: int, config: ColonyConfig, seed: int) -> I64:
+def shortest_found(nodes_px: F64, start: int, end: int, config: ColonyConfig, draws: F64, pheromone: F64) -> I64:
     """Return the shortest path (n,) that the ants find, from node `start` through all others to node `end`.
 
     Differs from the paper: pheromone is laid after each round, by each ant in inverse proportion to the length of its
@@ -37,7 +39,8 @@ def shortest_found(nodes_px: F64, start: int, end: int, config: ColonyConfig, se
         nodes_px: Nodes (n, 2) [px].
         start, end: A and B.
         config: The colony.
-        seed: Of the ants' choices: the same input and seed give the same path.
+        draws: Uniform numbers in [0, 1), (rounds, ants, n or more): the ants' choices.
+        pheromone: What lies on each pair of nodes to begin with (n, n).
     """
     n = len(nodes_px)
     if n <= 3:
@@ -45,13 +48,12 @@ def shortest_found(nodes_px: F64, start: int, end: int, config: ColonyConfig, se
         return np.array(list(dict.fromkeys([start, *between, end])) if n else [], dtype=np.int64)
     distance_px = np.linalg.norm(nodes_px[:, None] - nodes_px[None], axis=2)
     nearness = 1.0 / np.maximum(distance_px, 1e-6) ** config.beta
-    pheromone = np.ones((n, n))
-    rng = np.random.default_rng(seed)
+    pheromone = pheromone.copy()
     tours, lengths_px = np.empty((config.ants, n), dtype=np.int64), np.empty(config.ants)
     best, best_px = np.arange(n), np.inf
-    for _ in range(config.rounds):
+    for k in range(config.rounds):
         attraction = pheromone**config.alpha * nearness
-        walk(attraction, distance_px, start, end, rng.random((config.ants, n)), tours, lengths_px)
+        walk(attraction, distance_px, start, end, draws[k], tours, lengths_px)
         shortest = int(np.argmin(lengths_px))
         if lengths_px[shortest] < best_px:
             best, best_px = tours[shortest].copy(), float(lengths_px[shortest])

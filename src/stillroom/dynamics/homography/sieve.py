@@ -7,6 +7,7 @@ import numba
 import numpy as np
 
 from stillroom.data.frame import Frame
+from stillroom.data.image import RgbdImage
 from stillroom.data.map import Map
 from stillroom.data.matches import Matches
 from stillroom.data.motion import Motion, Stage
@@ -96,7 +97,9 @@ class CompensatedHomographySieve:
         self.config, self.seed = config, seed
         self._compensation = Compensation(config.compensation, seed)
         self._past = Past(config.earlier_s)
+        self._ants = config.ants.build(seed)
         self._asked: Frame | None = None
+        self._remembered: RgbdImage | None = None
         self.findings: Findings | None = None
 
     def judge(
@@ -121,7 +124,7 @@ class CompensatedHomographySieve:
         self._asked = frame
         motion = self._verdict(frame, known)
         if stage is Stage.LOCAL_MAP:
-            self._past.remember(frame, self._view, T_cam_world)
+            self._remember(frame, T_cam_world)
         stay = int(np.count_nonzero(motion.is_static[matches.keypoint]))
         return nothing_moves if stay < self.config.min_matches <= len(matches) else motion
 
@@ -132,14 +135,14 @@ class CompensatedHomographySieve:
             guess = earlier.T_cam_world @ se3.inverse(T_cam_world)
             camera_motion = self._compensation(frame, masked, view.half, earlier.view.half, guess)
             if camera_motion is not None:
-                return self._search(frame, np.flatnonzero(~masked), view, earlier.view, camera_motion)
+                return self._search(frame, known, masked, view, earlier.view, camera_motion)
         return None
 
     def _search(
-        self, frame: Frame, candidates: I64, view: View, earlier: View, camera_motion: CameraMotion
+        self, frame: Frame, known: Semantics, masked: Bool, view: View, earlier: View, camera_motion: CameraMotion
     ) -> Findings:
-        """Test the candidates (K,) along the path, or all of them."""
-        kp, config = frame.keypoints, self.config
+        """Test the keypoints that are not masked (N,) along the path, or all of them."""
+        kp, config, candidates = frame.keypoints, self.config, np.flatnonzero(~masked)
         test = PointTest(
             config.test,
             frame.camera,
@@ -160,8 +163,15 @@ class CompensatedHomographySieve:
         if config.search == "exhaustive":
             found = _communities_of(test.raw_px, exhaustive(test.raw_px, is_dynamic), config.ants)
         else:
-            found = config.ants.search(test.raw_px, is_dynamic, self.seed)
+            found = self._ants.search(test.raw_px, is_dynamic, known.movable if known.has_any else None)
         return Findings(frame.image.index, candidates, found, verdicts, camera_motion, test)
+
+    def _remember(self, frame: Frame, T_cam_world: F64) -> None:
+        """Take an image as the past of the next one, once."""
+        self._past.remember(frame, self._view, T_cam_world)
+        if self.findings is not None and self._remembered is not frame.image:
+            self._ants.remember(self.findings.test.raw_px, self.findings.found)
+            self._remembered = frame.image
 
     def _verdict(self, frame: Frame, known: Semantics) -> Motion:
         """Put together what the masks and the geometry say."""

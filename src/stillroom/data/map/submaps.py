@@ -54,6 +54,7 @@ def join(moved: int, kept: int, T_kept_moved: F64, parent: int, world: Map) -> N
         parent: Keyframe of the other that its first keyframe hangs on from now on.
         world: The map.
     """
+    assert max(moved, kept) < world.n_submaps  # which thereby remembers the id that goes
     table, points = world.keyframes, world.points
     members = np.flatnonzero(table.submap == moved)
     ids = np.flatnonzero(points.is_alive)

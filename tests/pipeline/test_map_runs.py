@@ -11,6 +11,7 @@ import pytest
 from random_map import assert_same_map
 
 from stillroom.config import SlamConfig, read_toml, updated
+from stillroom.datasets.open import open_dataset
 from stillroom.datasets.selection import select
 from stillroom.dense.dense_mapper import DenseMapperConfig
 from stillroom.errors import FrameError, MapError
@@ -136,6 +137,25 @@ def test_going_on_in_a_map(copy: Path, room: Dataset) -> None:
     assert np.median(apart_m) < 0.02
     keyframes = outcome.slam.keyframe_trajectory()
     assert np.all(np.diff(keyframes.timestamps_s) > 0)
+
+
+def test_going_on_somewhere_else_begins_a_sub_map(copy: Path) -> None:
+    elsewhere = open_dataset("synthetic:empty,room=library,seed=3,frames=8")
+    config = replace(CONFIG, recovery=replace(CONFIG.recovery, patience=2))
+    before = load_map(copy).world
+    outcome = run(elsewhere, config, on(copy, MapUse.CONTINUE))
+    states = [result.T_world_cam is not None for result in outcome.slam.results]
+    assert states == [False, False, True, True, True, True, True, True]
+    stored = load_map(copy)
+    assert check_map(copy) == []
+    assert_same_map(stored.world, outcome.slam.map)
+    n_before = len(before.keyframes)
+    assert set(stored.world.keyframes.submap[:n_before]) == {0}
+    assert set(stored.world.keyframes.submap[n_before:]) == {1}
+    alive = before.keyframes.is_alive
+    np.testing.assert_allclose(
+        stored.world.keyframes.T_world_cam[:n_before][alive], before.keyframes.T_world_cam[alive], atol=0.01
+    )
 
 
 def test_an_error_in_the_middle_keeps_what_was_committed(room: Dataset, tmp_path: Path) -> None:

@@ -2,13 +2,12 @@
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from stillroom.data.frame import Frame
 from stillroom.data.map import Map
 from stillroom.data.matches import Matches
 from stillroom.data.motion import Motion, Stage
 from stillroom.data.semantics import Semantics
+from stillroom.dynamics.enough import leaves_enough
 from stillroom.geometry.arrays import F64
 from stillroom.protocols import MatchSieve, Pending
 
@@ -38,8 +37,7 @@ class Chain:
         verdicts = [sieve.judge(stage, frame, matches, semantics, T_cam_world, world) for sieve in self._sieves]
         together = verdicts[0]
         for verdict in verdicts[1:]:
-            is_static = together.is_static & verdict.is_static
-            stay = int(np.count_nonzero(is_static[matches.keypoint]))
-            if not stay < self._min_matches <= len(matches):
-                together = Motion(is_static, together.moving | verdict.moving)
+            both = Motion(together.is_static & verdict.is_static, together.moving | verdict.moving)
+            if leaves_enough(both, matches, self._min_matches):
+                together = both
         return together

@@ -1,6 +1,6 @@
 """The images that the present one is held against."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -8,6 +8,7 @@ import numpy as np
 from stillroom.data.frame import Frame
 from stillroom.data.image import RgbdImage
 from stillroom.dynamics.homography.point_test import View
+from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64, U8
 
 TOO_OLD_S = 1.0
@@ -64,6 +65,11 @@ class Past:
         old = [image for image in earlier if now_s - image.timestamp_s >= 0.9 * self._age_s]
         first = old[-1] if old else earlier[0]
         return [first] if first is earlier[-1] else [first, earlier[-1]]
+
+    def follow(self, T_new_old: F64) -> None:
+        """Move what is remembered by a motion (4, 4) of the world's coordinates."""
+        T_old_new = se3.inverse(T_new_old)
+        self._images = [replace(image, T_cam_world=image.T_cam_world @ T_old_new) for image in self._images]
 
     def remember(self, frame: Frame, view: View, T_cam_world: F64) -> None:
         """Keep an image, once; forget those that no later one will be compared with."""

@@ -11,7 +11,8 @@ from stillroom.data.image import RgbdImage
 from stillroom.data.map import Map
 from stillroom.data.matches import Matches
 from stillroom.data.motion import Motion, Stage
-from stillroom.data.semantics import Semantics
+from stillroom.data.semantics import Semantics, nothing
+from stillroom.dynamics.enough import or_less
 from stillroom.dynamics.multiview.geometry import GeometryConfig
 from stillroom.dynamics.multiview.views import CHOICES
 from stillroom.errors import ConfigError
@@ -40,7 +41,8 @@ class MultiViewConfig:
         overlap_share: For "geometry-first": both found the same when geometry covers this share of a network's mask.
         dilation_px: How far geometry's mask is grown, as an ellipse; keypoints on its border go with it. A network's
             mask is grown where it is made (`semantics.regions.dilate_px`).
-        min_matches: The sieve is off where fewer matches than this would stay.
+        min_matches: Geometry is not heard where fewer matches than this would stay, nor then the network: tracking
+            needs 30 that agree.
         test: The geometry.
     """
 
@@ -49,7 +51,7 @@ class MultiViewConfig:
     combination: str = UNION
     overlap_share: float = 0.3
     dilation_px: int = 6
-    min_matches: int = 20
+    min_matches: int = 40
     test: GeometryConfig = field(default_factory=GeometryConfig)
 
     def build(self, seed: int = 0) -> "MultiViewSieve":
@@ -101,18 +103,18 @@ class MultiViewSieve:
         the local-map stage, and the stages before are judged by the network alone: their matches are of points that
         were found to be static in the last frame. Under a mere guess of the pose everything would seem to move.
         """
-        nothing_moves = Motion.none(len(frame), frame.image.height, frame.image.width)
         if stage is Stage.RELOCALIZATION:
-            return nothing_moves
+            return Motion.none(len(frame), frame.image.height, frame.image.width)
         self.geometry.views.settle(world)
         found = self._mask(stage, frame, T_cam_world, world) if self.config.geometry else None
-        moving = self._moving(found, semantics.result())
+        known = semantics.result()
+        moving = self._moving(found, known)
         column, row = np.rint(frame.keypoints.raw_px).astype(np.int64).T
         motion = Motion(~moving[row, column], moving)
         if stage is Stage.LOCAL_MAP and self.config.geometry:
             self.geometry.views.note(frame, T_cam_world, moving)
-        stay = int(np.count_nonzero(motion.is_static[matches.keypoint]))
-        return nothing_moves if stay < self.config.min_matches <= len(matches) else motion
+        at_least = known if self.config.network else nothing(known.height, known.width)
+        return or_less(motion, frame, at_least, matches, self.config.min_matches)
 
     def _mask(self, stage: Stage, frame: Frame, T_cam_world: F64, world: Map) -> Bool | None:
         """Return geometry's mask (H, W): what low-cost tracking found, or this stage, where it may ask; else None."""

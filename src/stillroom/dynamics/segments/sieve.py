@@ -9,16 +9,19 @@ from stillroom.data.cloud.clusters import Clusters
 from stillroom.data.frame import Frame
 from stillroom.data.image import RgbdImage
 from stillroom.data.map import Map
+from stillroom.data.map.jumps import JumpFollower
 from stillroom.data.matches import Matches
 from stillroom.data.motion import Motion, Stage
 from stillroom.data.semantics import Semantics
 from stillroom.dynamics.clusters.belief import Belief
 from stillroom.dynamics.clusters.pixels import MOVES, STAYS, MovingPixels
 from stillroom.dynamics.clusters.samples import Sampler
+from stillroom.dynamics.depth_history import STRIDE, ask
+from stillroom.dynamics.enough import or_less
 from stillroom.dynamics.homography.past import EarlierImage, Past, view_of
-from stillroom.dynamics.homography.point_test import DYNAMIC, STATIC, PointTest, PointTestConfig, View
+from stillroom.dynamics.homography.point_test import DYNAMIC, STATIC, UNKNOWN, PointTest, PointTestConfig, View
 from stillroom.geometry import homography, se3
-from stillroom.geometry.arrays import F64, I64
+from stillroom.geometry.arrays import F64, I64, Bool
 from stillroom.protocols import Pending
 
 NEAR = 0.02, 0.01
@@ -42,25 +45,33 @@ class MovedSegmentsConfig:
         max_points: Points of a segment that are tested, at most; keypoints come on top.
         min_points: Fewer that say anything cast no vote.
         share: A segment moves when more than this share of its points does.
+        plain: How much a point counts for standing still that has nothing in the image to be known by, and where depth
+            was the same before; against 1 of one that is recognised. Part of what slides within its own outline looks
+            so, too.
+        tolerance_m, tolerance_share: Depth is the same within the larger of the first and this share of it.
         gain: What an image adds to the log-odds when all points say the same.
         limit: Largest log-odds: how much a segment's past can weigh.
         fades_in_s: Time in which unsupported log-odds fall to 1/e.
         reach_m: How far a segment may move in depth between two images.
         margin_px: What lies this close to a moving segment and on no plane or other segment moves too.
-        min_matches: The sieve is off where fewer matches than this would stay.
+        min_matches: Segments are not heard where fewer matches than this would stay, nor then masks: tracking needs 30
+            that agree.
         test: When a point moves.
     """
 
     earlier_s: float = 0.2
     max_points: int = 24
     min_points: int = 6
-    share: float = 0.4
+    share: float = 0.5
+    plain: float = 0.25
+    tolerance_m: float = 0.05
+    tolerance_share: float = 0.02
     gain: float = 1.5
     limit: float = 2.5
     fades_in_s: float = 1.0
     reach_m: float = 0.3
     margin_px: int = 8
-    min_matches: int = 20
+    min_matches: int = 40
     test: PointTestConfig = field(default_factory=PointTestConfig)
 
     def build(self, seed: int = 0) -> "MovedSegments":
@@ -89,6 +100,7 @@ class MovedSegments:
         self._belief = Belief(config.fades_in_s, config.reach_m)
         self._pixels = MovingPixels(config.margin_px)
         self._finding: _Finding | None = None
+        self._jumps = JumpFollower()
 
     def judge(
         self,
@@ -100,9 +112,10 @@ class MovedSegments:
         world: Map,
     ) -> Motion:
         """Judge that what may move does, and every segment that is found to."""
-        nothing_moves = Motion.none(len(frame), frame.image.height, frame.image.width)
         if stage is Stage.RELOCALIZATION:
-            return nothing_moves
+            return Motion.none(len(frame), frame.image.height, frame.image.width)
+        if self._jumps.follow(world, (self._past, self._belief)):
+            self._finding = None
         known = semantics.result()
         moving, clusters = known.movable, known.clusters
         if clusters is not None:
@@ -115,8 +128,7 @@ class MovedSegments:
                     self._past.remember(frame, finding.view, T_cam_world)
         column, row = np.rint(frame.keypoints.raw_px).astype(np.int64).T
         motion = Motion(~moving[row, column], moving)
-        stay = int(np.count_nonzero(motion.is_static[matches.keypoint]))
-        return nothing_moves if stay < self.config.min_matches <= len(matches) else motion
+        return or_less(motion, frame, known, matches, self.config.min_matches)
 
     def _find(self, stage: Stage, frame: Frame, clusters: Clusters, T_cam_world: F64) -> _Finding | None:
         """Return what is found of a frame: what was found before, from nearly here; None under a guess of the pose."""
@@ -149,11 +161,33 @@ class MovedSegments:
         verdict = test(np.arange(len(points.segment), dtype=np.int64))
         n = len(clusters)
         moving = np.bincount(points.segment[verdict == DYNAMIC], minlength=n)
-        judged = moving + np.bincount(points.segment[verdict == STATIC], minlength=n)
+        still = (verdict == STATIC) + config.plain * (
+            (verdict == UNKNOWN) & self._was_there(points, frame, earlier, T_cam_world)
+        )
+        judged = moving + np.bincount(points.segment, still, minlength=n)
         share = moving / np.maximum(judged, 1)
         # From −1 where no point moves, over 0 where as many do as are asked for, to 1 where all do.
         vote = np.where(share > config.share, (share - config.share) / (1.0 - config.share), share / config.share - 1.0)
         return np.where(judged >= config.min_points, vote, 0.0)
+
+    def _was_there(self, points: "_Points", frame: Frame, earlier: EarlierImage, T_cam_world: F64) -> Bool:
+        """Tell of points (P,) whether the earlier image has a surface where they are now."""
+        camera, config = frame.camera, self.config
+        agrees, empty = np.zeros((2, len(points.segment)), dtype=np.int64)
+        points_world_m = se3.transform(se3.inverse(T_cam_world), camera.back_project(points.px, points.depth_m))
+        small_m = np.ascontiguousarray(earlier.view.depth_m[::STRIDE, ::STRIDE])
+        lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion])
+        ask(
+            small_m,
+            earlier.T_cam_world,
+            lens,
+            points_world_m,
+            config.tolerance_m,
+            config.tolerance_share,
+            agrees,
+            empty,
+        )
+        return np.asarray(agrees > 0)
 
     def _points_on(self, frame: Frame, clusters: Clusters) -> "_Points":
         """Return keypoints on segments, and points spread over them."""

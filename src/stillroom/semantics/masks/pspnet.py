@@ -35,6 +35,7 @@ class PspNetConfig:
             that comes with Stillroom.
         input: Size at which it sees images: "640x480", or "320x240" for a quarter of the time.
         movable: Names of the classes that may move, of the 21 of PASCAL VOC.
+        named: Names of the classes that stand still unless somebody moves them; told of as boxes.
         probability: From here on a pixel is of a movable class; the movable classes' probabilities count together.
         every: The network sees every n-th image; to those between, masks are carried.
         latency_frames: How many images after the one that it saw the network's answer becomes known.
@@ -46,6 +47,7 @@ class PspNetConfig:
     model: Path | None = None
     input: str = "640x480"
     movable: tuple[str, ...] = ("person",)
+    named: tuple[str, ...] = ()
     probability: float = 0.5
     every: int = 1
     latency_frames: int = 0
@@ -63,11 +65,11 @@ class PspNetConfig:
         if self.input not in INPUTS_PX:
             raise ConfigError(f"input is '{self.input}'; it must be one of {', '.join(INPUTS_PX)}")
         masks = OnnxMasksConfig(
-            movable=self.movable, probability=self.probability, every=self.every,
+            movable=self.movable, named=self.named, probability=self.probability, every=self.every,
             latency_frames=self.latency_frames, refine=self.refine, carry=self.carry, regions=self.regions,
         )  # fmt: skip
         masks.check()
-        channels = channels_of(self.movable, VOC_CLASSES)
+        channels = channels_of((*self.movable, *self.named), VOC_CLASSES)
         return OnnxMasks(pspnet(self.model, channels, INPUTS_PX[self.input]), masks)
 
 

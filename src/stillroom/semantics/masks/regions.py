@@ -7,6 +7,7 @@ import numpy as np
 
 from stillroom.data.semantics import Box, Semantics, nothing
 from stillroom.errors import ConfigError
+from stillroom.geometry.arrays import Bool
 from stillroom.semantics.masks.segments import Segments
 
 
@@ -17,11 +18,15 @@ class RegionsConfig:
     Attributes:
         min_px: Smallest region that counts [px of the whole image].
         dilate_px: By how much the mask is grown [px]; corners on a border belong to nobody (REFERENCE 2.1: 15).
+        crowd_share, crowd_px: Where the grown mask would cover more than this share of the image, it is grown by no
+            more than this: in a crowd, what is seen of the room is seen between people.
         boxes: Whether each region becomes a box, too; boxes are not grown.
     """
 
     min_px: int = 400
     dilate_px: int = 5
+    crowd_share: float = 0.6
+    crowd_px: int = 5
     boxes: bool = True
 
     def check(self) -> None:
@@ -30,7 +35,7 @@ class RegionsConfig:
         Raises:
             ConfigError: Names the key.
         """
-        for key in ("min_px", "dilate_px"):
+        for key in ("min_px", "dilate_px", "crowd_share", "crowd_px"):
             if getattr(self, key) < 0:
                 raise ConfigError(f"regions.{key} is {getattr(self, key)}; it must not be negative")
 
@@ -74,11 +79,19 @@ def as_semantics(
     boxes = _boxes(segments, names, height, width, age) if config.boxes else ()
     soft = cv2.resize(segments.mask.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR)
     mask = np.asarray(soft) >= 0.5
-    if config.dilate_px:
-        side = 2 * config.dilate_px + 1
-        disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
-        mask = np.asarray(cv2.dilate(mask.view(np.uint8), disc)) != 0
-    return Semantics(height, width, boxes, mask, named=named)
+    grown = _grown(mask, config.dilate_px)
+    if config.crowd_px < config.dilate_px and np.count_nonzero(grown) > config.crowd_share * grown.size:
+        grown = _grown(mask, config.crowd_px)
+    return Semantics(height, width, boxes, grown, named=named)
+
+
+def _grown(mask: Bool, reach_px: int) -> Bool:
+    """Return a mask (H, W) grown by a disc."""
+    if reach_px == 0:
+        return mask
+    side = 2 * reach_px + 1
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
+    return np.asarray(cv2.dilate(mask.view(np.uint8), disc)).view(np.bool_)
 
 
 def _boxes(segments: Segments, names: tuple[str, ...], height: int, width: int, age: int) -> tuple[Box, ...]:

@@ -1,0 +1,32 @@
+"""A verdict must leave tracking enough to go on with."""
+
+import numpy as np
+
+from stillroom.data.frame import Frame
+from stillroom.data.matches import Matches
+from stillroom.data.motion import Motion
+from stillroom.data.semantics import Semantics
+
+
+def leaves_enough(motion: Motion, matches: Matches, min_matches: int) -> bool:
+    """Tell whether enough matches stay, or there were too few before."""
+    stay = int(np.count_nonzero(motion.is_static[matches.keypoint]))
+    return not stay < min_matches <= len(matches)
+
+
+def or_less(motion: Motion, frame: Frame, known: Semantics, matches: Matches, min_matches: int) -> Motion:
+    """Return a verdict; where it leaves too little, that of the semantics alone; where that does, that nothing moves.
+
+    Args:
+        motion: The verdict.
+        frame: What it is about.
+        known: What may move in it.
+        matches: Of which enough must stay.
+        min_matches: How many.
+    """
+    if leaves_enough(motion, matches, min_matches):
+        return motion
+    masked = Motion(~known.movable_at(frame.keypoints.raw_px), known.movable)
+    if leaves_enough(masked, matches, min_matches):
+        return masked
+    return Motion.none(len(frame), frame.image.height, frame.image.width)

@@ -14,11 +14,13 @@ from stillroom.config import SlamConfig, read_toml, updated
 from stillroom.datasets.open import open_dataset
 from stillroom.datasets.selection import select
 from stillroom.dense.dense_mapper import DenseMapperConfig
-from stillroom.errors import FrameError, MapError
+from stillroom.errors import ConfigError, FrameError, MapError
 from stillroom.pipeline import RunOptions, RunOutcome, run
 from stillroom.pipeline.maps.dense import dense_cloud
 from stillroom.pipeline.maps.use import MapFile, MapUse
+from stillroom.pipeline.options import detector_ranges
 from stillroom.protocols import Dataset
+from stillroom.semantics.mask_files import MaskFilesConfig
 from stillroom.semantics.truth import TruthConfig
 from stillroom.storage import load_map
 from stillroom.storage.check import check_map
@@ -236,6 +238,19 @@ def test_a_map_without_keyframes_has_nothing_to_recognise(room: Dataset, tmp_pat
     assert check_map(path) == []
     assert "holds no keyframe" in refused(path, MapUse.LOCALIZE, room)
     assert "holds no keyframe" in refused(path, MapUse.CONTINUE, room)
+
+
+def test_played_backwards_ranges_are_those_of_the_original(room: Dataset) -> None:
+    backwards = select(room, reverse=True)
+    [(first, end)] = detector_ranges(["3:5"], backwards)
+    chosen = [place for place in range(len(room)) if first <= backwards.load(place).index < end]
+    assert [int(len(room) - 1 - place) for place in chosen] == [4, 3]
+
+
+def test_mask_files_cannot_be_played_backwards(room: Dataset, tmp_path: Path) -> None:
+    config = replace(CONFIG, semantics=MaskFilesConfig(folder=tmp_path))
+    with pytest.raises(ConfigError, match=r"--reverse .* masks are found"):
+        run(select(room, reverse=True), config, RunOptions(root=None, pictures=0))
 
 
 KILLED = """

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from stillroom.datasets.open import open_dataset
-from stillroom.datasets.selection import parse_range, select
+from stillroom.datasets.selection import Reversed, parse_range, select
 from stillroom.errors import ConfigError
 from stillroom.pipeline.maps.use import MapFile
 from stillroom.protocols import Dataset, RunObserver, Segmenter
@@ -76,6 +76,8 @@ class RunOptions:
 def detector_ranges(texts: Iterable[str], dataset: Dataset) -> tuple[tuple[int, int], ...]:
     """Read the ranges `a:b` in which the detector is to find nothing: image numbers, first and one past the last.
 
+    They are read in numbers of the original, and returned in those of the sequence as it is played.
+
     Raises:
         ConfigError: A range is malformed or empty.
     """
@@ -87,5 +89,6 @@ def detector_ranges(texts: Iterable[str], dataset: Dataset) -> tuple[tuple[int, 
             raise ConfigError(
                 f"detector-off {text}: no such range of images; there are {length}, write it like 300:330"
             )
-        ranges.append((first, end))
+        # Images of a sequence that is played backwards are numbered from its end.
+        ranges.append((length - end, length - first) if isinstance(dataset, Reversed) else (first, end))
     return tuple(ranges)

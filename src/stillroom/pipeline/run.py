@@ -11,8 +11,8 @@ import numpy as np
 from stillroom.config import SlamConfig
 from stillroom.data.result import FrameResult, Tracked
 from stillroom.data.semantics import Semantics
-from stillroom.datasets.selection import original_numbers
-from stillroom.errors import FrameError
+from stillroom.datasets.selection import Reversed, original_numbers
+from stillroom.errors import ConfigError, FrameError
 from stillroom.evaluation.timing import FRAME, StageClock
 from stillroom.pipeline import folders, results
 from stillroom.pipeline.evaluating import evaluate_trajectory
@@ -24,6 +24,7 @@ from stillroom.pipeline.progress import SILENT, Progress, Remarks
 from stillroom.pipeline.stop_request import StopRequest
 from stillroom.protocols import Dataset, RunObserver
 from stillroom.semantics.detector_off import withhold
+from stillroom.semantics.mask_files import MaskFilesConfig
 from stillroom.system import build
 from stillroom.viz.nothing import Nothing
 from stillroom.viz.recorder import PictureRecorderConfig
@@ -51,6 +52,8 @@ def run(
     options = options or RunOptions()
     if options.map is not None:
         config = options.map.fitting(config)
+    if isinstance(dataset, Reversed) and isinstance(config.semantics, MaskFilesConfig):
+        raise ConfigError("--reverse changes the numbers and times by which masks are found; leave one of them out")
     _settle(config.seed)
     with opened_map(options.map, config, dataset) as opened:
         return _run(dataset, config, options, progress, opened)

@@ -199,3 +199,22 @@ def test_it_is_repeatable() -> None:
 
     np.testing.assert_array_equal(painted().rgb, painted().rgb)
     np.testing.assert_array_equal(painted().depth_m, painted().depth_m)
+
+
+def test_colours_follow_exposure_and_white_balance() -> None:
+    dim = np.array([0.8, 0.7, 0.6])
+    keyframe, true = painted_wall(CAMERA, pose(0.2)), painted_wall(CAMERA, pose())
+    true = replace(true, rgb=np.rint(true.rgb * dim).astype(np.uint8))
+    for matching, least_db, most_db in ((True, 40, 100), (False, 0, 22)):
+        painter = replace(EXACT, match_brightness=matching).build(CAMERA)
+        painter.remember(0, keyframe, NOBODY)
+        painted = painter.paint(somebody_before(true), pose(), FIGURE, at([pose(0.2)]))
+        assert least_db < error_db(painted, true.rgb) < most_db
+
+
+def test_brightness_is_left_alone_where_it_cannot_be_compared() -> None:
+    keyframe, true = painted_wall(CAMERA, pose()), painted_wall(CAMERA, pose())
+    painter = EXACT.build(CAMERA)
+    painter.remember(0, keyframe, NOBODY)
+    dark = replace(true, rgb=np.zeros_like(true.rgb))
+    np.testing.assert_array_equal(painter.paint(dark, pose(), FIGURE, at([pose()])).rgb[FIGURE], keyframe.rgb[FIGURE])

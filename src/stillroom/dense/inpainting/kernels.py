@@ -70,6 +70,7 @@ def splat_colour(
     min_depth_m: float,
     same_share: float,
     weight: float,
+    gain: F32,
     nearest_m: F32,
     total: F32,
 ) -> None:
@@ -80,6 +81,7 @@ def splat_colour(
         depth_m, rays, window, T_here_there, lens, min_depth_m: As in `splat_depth`.
         same_share: What lies behind the nearest by no more than this share of its depth is the same surface.
         weight: Of this keyframe.
+        gain: What its red, green and blue are multiplied by (3,).
         nearest_m: The nearest depths (H, W) of all keyframes; infinite where nothing is wanted.
         total: Sums of red, green, blue, depth and one, weighted, and of one without weights (H, W, 6).
     """
@@ -106,9 +108,9 @@ def splat_colour(
                     part = (1.0 - abs(u - p)) * (1.0 - abs(v - q))
                     share = weight * part
                     total[q, p, 5] += part
-                    total[q, p, 0] += share * rgb[row, column, 0]
-                    total[q, p, 1] += share * rgb[row, column, 1]
-                    total[q, p, 2] += share * rgb[row, column, 2]
+                    total[q, p, 0] += share * gain[0] * rgb[row, column, 0]
+                    total[q, p, 1] += share * gain[1] * rgb[row, column, 1]
+                    total[q, p, 2] += share * gain[2] * rgb[row, column, 2]
                     total[q, p, 3] += share * z
                     total[q, p, 4] += share
 

@@ -9,6 +9,7 @@ import numpy as np
 from stillroom.data.cloud.dense_cloud import DenseCloud
 from stillroom.data.image import RgbdImage
 from stillroom.data.map import Map
+from stillroom.dense.inpainting.brightness import gains
 from stillroom.dense.inpainting.kernels import splat_cloud, splat_colour, splat_depth
 from stillroom.errors import ConfigError
 from stillroom.geometry import se3
@@ -32,6 +33,7 @@ class InpaintingConfig:
         least_weight: A pixel is filled when at least this much of a pixel, bilinear shares added, fell on it.
         sharpness: How much keyframes that saw the place from nearby count before others: each weighs
             1 / (distance and turn, in metres at a typical depth, + 1 cm) to this power.
+        match_brightness: Whether keyframes' colours are scaled to the frame's exposure and white balance.
         close_px: Holes narrower than twice this take the colours around them; they stay marked as holes.
         hole_grey: Brightness of the others.
     """
@@ -42,6 +44,7 @@ class InpaintingConfig:
     margin_px: int = 6
     least_weight: float = 0.3
     sharpness: float = 1.0
+    match_brightness: bool = True
     close_px: int = 4
     hole_grey: int = 0
 
@@ -121,17 +124,17 @@ class BackgroundPainter:
         rgb[moving], depth_m[moving] = self.config.hole_grey, 0
         is_filled = np.zeros_like(moving)
         if moving.any():
-            total = self._gathered(moving, T_world_cam, world)
+            total = self._gathered(image, moving, T_world_cam, world)
             is_filled = total[..., 5] >= self.config.least_weight
             mean = total[is_filled, :4] / total[is_filled, 4:5]
-            rgb[is_filled] = np.rint(mean[:, :3]).astype(np.uint8)
+            rgb[is_filled] = np.rint(np.minimum(mean[:, :3], 255)).astype(np.uint8)
             depth_m[is_filled] = mean[:, 3]
             if cloud is not None:
                 is_filled |= self._from_cloud(cloud, moving & ~is_filled, T_world_cam, rgb, depth_m)
         holes = moving & ~is_filled
         return Painted(_closed(rgb, holes, self.config.close_px), depth_m, is_filled, holes)
 
-    def _gathered(self, wanted: Bool, T_world_cam: F64, world: Map) -> F32:
+    def _gathered(self, image: RgbdImage, wanted: Bool, T_world_cam: F64, world: Map) -> F32:
         """Return sums over what falls on each pixel; see `splat_colour`."""
         views = [(seen, se3.inverse(T_world_cam) @ world.keyframe_pose(seen.keyframe)) for seen in self._seen]
         nearest_m = np.full(wanted.shape, np.inf, dtype=np.float32)
@@ -142,9 +145,19 @@ class BackgroundPainter:
             splat_depth(seen.depth_m, self._rays, window, T_here_there, lens, least_m, wanted.view(np.uint8), nearest_m)
         weights = self._weights([T_here_there for _, T_here_there in views])
         for (seen, T), window, weight in zip(views, windows, weights, strict=True):
+            gain = self._gain(seen, T, image, wanted)
             same = self.config.same_share
-            splat_colour(seen.rgb, seen.depth_m, self._rays, window, T, lens, least_m, same, weight, nearest_m, total)
+            splat_colour(
+                seen.rgb, seen.depth_m, self._rays, window, T, lens, least_m, same, weight, gain, nearest_m, total
+            )
         return total
+
+    def _gain(self, seen: _Seen, T_here_there: F64, image: RgbdImage, wanted: Bool) -> F32:
+        """Return what a keyframe's red, green and blue are multiplied by (3,)."""
+        if not self.config.match_brightness:
+            return np.ones(3, dtype=np.float32)
+        there = seen.rgb, seen.depth_m, self._rays, T_here_there
+        return gains(*there, self._camera, image.rgb, image.depth_m, ~wanted)
 
     def _weights(self, poses: list[F64]) -> list[float]:
         """Return how much each keyframe counts, given its pose (4, 4) in the present camera; the best counts 1."""

@@ -110,6 +110,23 @@ def test_going_on_adds_to_the_file_what_has_changed_since(tmp_path: Path) -> Non
     assert check_map(path) == []
 
 
+def test_going_on_after_a_crash_leaves_one_file(tmp_path: Path) -> None:
+    life = EventfulLife(8)
+    writer = MapWriter.create(tmp_path / "room.stillmap", life.world, CAMERA)
+    life.happen(10)
+    writer.commit()
+    crashed = as_after_a_crash(writer.path, tmp_path / "crashed")
+    before = crashed.read_bytes(), log_of(crashed).read_bytes()
+    assert check_map(crashed) == []
+    life.small.map = load_map(crashed).world
+    assert (crashed.read_bytes(), log_of(crashed).read_bytes()) == before
+    with MapWriter.go_on(crashed, life.world):
+        life.happen(10)
+    assert_same_map(load_map(crashed).world, life.world)
+    assert [file.name for file in crashed.parent.iterdir()] == ["room.stillmap"]
+    writer.abandon()
+
+
 def test_a_commit_writes_little_of_a_large_map(tmp_path: Path) -> None:
     """A keyframe at the far end of a long map costs as much as one of a short map."""
     sizes = []

@@ -1,5 +1,6 @@
 """Keeping the map of a run on disk."""
 
+from collections import deque
 from dataclasses import dataclass
 
 from stillroom.data.image import RgbdImage
@@ -33,7 +34,7 @@ class MapKeeper:
         """Start before the first frame."""
         self.config = config
         self._writer, self._session, self._camera = writer, session, camera
-        self._frames: list[FrameNote] = []
+        self._frames: deque[FrameNote] = deque()
 
     def keep(self, keyframe: int, image: RgbdImage, moving: Bool) -> None:
         """Write a new keyframe, and all that it changed.
@@ -48,8 +49,7 @@ class MapKeeper:
         """
         wanted = self.config.images
         pictures = compress(keyframe, image, moving, self._camera.depth_factor) if wanted else None
-        frames, self._frames = self._frames, []
-        self._writer.commit(frames, pictures)
+        self._writer.commit(self._taken_frames(), pictures)
 
     def note(self, result: FrameResult) -> None:
         """Remember where a frame was, until it is written."""
@@ -63,7 +63,11 @@ class MapKeeper:
         Raises:
             MapError: The disk is full, or the like.
         """
-        self._writer.close(self._frames)
+        self._writer.close(self._taken_frames())
+
+    def _taken_frames(self) -> list[FrameNote]:
+        """Return the frames noted so far, once; more may be noted on another thread meanwhile."""
+        return [self._frames.popleft() for _ in range(len(self._frames))]
 
 
 class NoKeeper:

@@ -172,6 +172,8 @@ def close_written(connection: sqlite3.Connection, path: Path) -> None:
     with naming(path):
         try:
             connection.executescript("PRAGMA wal_checkpoint(TRUNCATE); PRAGMA journal_mode = DELETE;")
+            # What somebody left who read the map with its log after a crash; it is nobody's while this is open.
+            path.with_name(path.name + "-shm").unlink(missing_ok=True)
         finally:
             connection.close()
 

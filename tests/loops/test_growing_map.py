@@ -131,3 +131,19 @@ def test_points_go_with_the_keyframe_that_saw_them_first(point_share: float) -> 
         goes = point in ids and world.points.first_keyframe[point] in (3, 4)
         expected = se3.transform(T_moved, old[point][None])[0] if goes else old[point]
         np.testing.assert_allclose(world.points.position_m[point], expected, atol=1e-12)
+
+
+def test_an_adjustment_in_place_moves_what_it_is_asked_to_and_nothing_else() -> None:
+    made = ring(n=16, laps=0.3, drift_m=0.0, drift_rad=0.0, noise_px=0.0)
+    rng, world = np.random.default_rng(1), made.map
+    asked, poses = np.array([6, 7, 8]), made.map.keyframes.T_world_cam
+    for k in asked:
+        poses[k] = poses[k] @ se3.exp(rng.normal(0, 0.004, 6))
+    before, errors_m = poses.copy(), made.errors_m()
+    bundle = GlobalBundle(asked, world, in_place=True)
+    bundle.commit(bundle.solve(CAMERA, ADJUST), world)
+    others = np.setdiff1d(np.arange(16), asked)
+    np.testing.assert_array_equal(poses[others], before[others])
+    assert errors_m[asked].min() > 0.002
+    assert made.errors_m()[asked].max() < 0.0005
+    check_links(world)

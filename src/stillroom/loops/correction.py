@@ -30,12 +30,15 @@ class Correction:
     Attributes:
         T_world_old: Poses of all keyframes (K, 4, 4) before.
         keyframes: Keyframes that took part, all of what hangs together (N,).
-        moved_m: How far the keyframe that closed the loop was moved.
+        around: Those of them that show the place, then or now (A,).
+        moved_m, turned_rad: How far the keyframe that closed the loop was moved and turned.
     """
 
     T_world_old: F64
     keyframes: I64
+    around: I64
     moved_m: float
+    turned_rad: float
 
 
 def close_loop(
@@ -75,8 +78,11 @@ def close_loop(
     alive = np.flatnonzero(world.points.is_alive)
     follow_keyframes(alive, T_world_old, world)
     world.refresh_geometry(alive)
-    moved_m = float(np.linalg.norm(poses[loop.keyframe, :3, 3] - T_world_old[loop.keyframe, :3, 3]))
-    return Correction(T_world_old, keyframes, moved_m)
+    T_old_new = se3.inverse(T_world_old[loop.keyframe]) @ loop.T_world_cam
+    around = np.intersect1d([*place, *group], keyframes)
+    return Correction(
+        T_world_old, keyframes, around, float(np.linalg.norm(T_old_new[:3, 3])), float(se3.angle_rad(T_old_new))
+    )
 
 
 def fuse_group(loop: Loop, place: Sequence[int], group: Sequence[int], camera: Camera, world: Map) -> None:

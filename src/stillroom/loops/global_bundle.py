@@ -1,4 +1,4 @@
-"""Full bundle adjustment: all keyframes that hang together and all points that two of them see."""
+"""Bundle adjustment after a correction: of all keyframes that hang together, or of those around one place."""
 
 from collections.abc import Callable
 
@@ -20,23 +20,32 @@ class GlobalBundle:
     and points that came in between follow what they hang on.
     """
 
-    def __init__(self, keyframes: I64, world: Map) -> None:
-        """Copy the keyframes (K,), the first of which holds still, and the points that several of them see."""
+    def __init__(self, keyframes: I64, world: Map, in_place: bool = False) -> None:
+        """Copy keyframes (K,) and the points that several of them see.
+
+        Args:
+            keyframes: What is to be adjusted, ascending.
+            world: The map.
+            in_place: Whether all other keyframes that see the points hold these in place; else the others have no say,
+                and the first of the keyframes holds still.
+        """
         table, points = world.keypoints, world.points
         seen = world.points_seen_by(keyframes)
         self._points = seen[points.n_keyframes[seen] > 1]
         place, rows = world.observations(self._points)
+        involved = np.unique(table.keyframe[rows]).astype(np.int64) if in_place else keyframes
+        is_fixed = ~np.isin(involved, keyframes)
+        if not is_fixed.any():
+            is_fixed[:1] = True
         node = np.full(len(world.keyframes), -1, dtype=np.int64)
-        node[keyframes] = np.arange(len(keyframes))
+        node[involved] = np.arange(len(involved))
         within = node[table.keyframe[rows]] >= 0
         self._rows, place = rows[within], place[within]
         self._row_points = self._points[place]
-        self._keyframes, self._T_world_old = keyframes, world.keyframes.T_world_cam.copy()
-        is_fixed = np.zeros(len(keyframes), dtype=np.bool_)
-        is_fixed[0] = True
+        self._keyframes, self._moves, self._n_known = involved, ~is_fixed, len(world.keyframes)
         right_px = table.right_px[self._rows]
         self._problem = BundleProblem(
-            T_cam_world=se3.inverse(self._T_world_old[keyframes]),
+            T_cam_world=se3.inverse(world.keyframes.T_world_cam[involved]),
             is_fixed=is_fixed,
             points_world_m=points.position_m[self._points].copy(),
             obs_keyframe=node[table.keyframe[self._rows]].astype(np.int32),
@@ -53,10 +62,9 @@ class GlobalBundle:
         """Write the outcome to the map, and remove observations that do not fit."""
         keyframes, points, table = world.keyframes, world.points, world.keypoints
         before = keyframes.T_world_cam.copy()
-        alive = keyframes.is_alive[self._keyframes]
-        alive[0] = False  # it held still; the inverse of its inverse need not be quite the same
-        keyframes.T_world_cam[self._keyframes[alive]] = se3.inverse(result.T_cam_world[alive])
-        carry_newer(len(self._T_world_old), before, world)
+        moved = keyframes.is_alive[self._keyframes] & self._moves
+        keyframes.T_world_cam[self._keyframes[moved]] = se3.inverse(result.T_cam_world[moved])
+        carry_newer(self._n_known, before, world)
         is_other = points.is_alive.copy()
         is_other[self._points] = False
         follow_keyframes(np.flatnonzero(is_other), before, world)

@@ -11,7 +11,7 @@ from stillroom.data.map import Map
 from stillroom.features.places.place_memory import PlaceMemory
 from stillroom.geometry import se3
 from stillroom.geometry.camera import Camera
-from stillroom.loops.correction import close_loop
+from stillroom.loops.correction import Correction, close_loop
 from stillroom.loops.essential_graph import essential_edges, path_between
 from stillroom.loops.global_bundle import GlobalBundle
 from stillroom.loops.recognition.detection import DetectionConfig
@@ -34,6 +34,8 @@ class LoopsConfig:
         drift_m, drift_rad: Error that may have gathered anywhere.
         drift_m_per_m, drift_rad_per_m: Error that may have gathered on each metre of the shortest known way between
             the place then and now: a look-alike that odometry puts further off is refused.
+        full_beyond_m, full_beyond_rad: A loop that was further off than this is followed by an adjustment of all
+            keyframes; else those that show the place are adjusted, which costs the same however large the map is.
         essential_weight: Shared points from which on two keyframes are joined in the essential graph.
         max_lost_share: Share of the map's observations that may stop fitting through a loop; beyond it is undone.
         max_lost_share_of_one: The same for the keyframe that suffers most.
@@ -49,6 +51,8 @@ class LoopsConfig:
     drift_rad: float = 0.2
     drift_m_per_m: float = 0.1
     drift_rad_per_m: float = 0.03
+    full_beyond_m: float = 0.05
+    full_beyond_rad: float = 0.02
     essential_weight: int = 100
     max_lost_share: float = 0.05
     max_lost_share_of_one: float = 0.4
@@ -158,7 +162,7 @@ class LoopCloser:
             before = Snapshot(world)
             correction = close_loop(loop, world, self.camera, self._optimize, self.config.essential_weight)
             links = LinkChange.since(before, world)
-            bundle = GlobalBundle(correction.keyframes, world)
+            bundle = self._bundle_after(correction)
         n_keyframes = len(world.keyframes)
         result = bundle.solve(
             self.camera, self._adjust, lambda: len(world.keyframes) >= n_keyframes + self.config.abort_after
@@ -179,6 +183,12 @@ class LoopCloser:
         for follow in self._after:
             follow()
         return True
+
+    def _bundle_after(self, correction: Correction) -> GlobalBundle:
+        config = self.config
+        if correction.moved_m > config.full_beyond_m or correction.turned_rad > config.full_beyond_rad:
+            return GlobalBundle(correction.keyframes, self.world)
+        return GlobalBundle(correction.around, self.world, in_place=True)
 
     def _accepts(self, verdict: Verdict) -> bool:
         config = self.config

@@ -7,6 +7,7 @@ import numpy as np
 from stillroom.data.map import Map
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64, I64
+from stillroom.loops.essential_graph import alive_parent
 
 
 def move_rigidly(keyframes: Sequence[int] | I64, T_new_old: F64, world: Map) -> None:
@@ -46,7 +47,7 @@ def carry_newer(n_known: int, T_world_old: F64, world: Map) -> None:
     """
     keyframes = world.keyframes
     for keyframe in range(n_known, len(keyframes)):
-        parent = int(keyframes.parent[keyframe])
+        parent = alive_parent(keyframe, world)
         if parent >= 0 and keyframes.is_alive[keyframe]:
             T_parent_cam = se3.inverse(T_world_old[parent]) @ T_world_old[keyframe]
             keyframes.T_world_cam[keyframe] = keyframes.T_world_cam[parent] @ T_parent_cam

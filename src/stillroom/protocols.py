@@ -157,6 +157,13 @@ class QuickTracking(Protocol):
         """
 
 
+class Timing(Protocol):
+    """Lets a part have pieces of its work timed, each under a name."""
+
+    def __call__(self, name: str, function: Callable[P, T], /) -> Callable[P, T]:
+        """Return the function, timed."""
+
+
 class DenseMapping(Protocol):
     """Makes a dense map; sieve 3: what moves stays out of it, and what has moved is taken out again."""
 

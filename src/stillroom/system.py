@@ -207,7 +207,7 @@ def build(
     places = config.places.build(world)
     places.remember_all()
     recovery = config.recovery.build(tracker, places, config.seed)
-    dense_mapper = config.dense.build(camera, world)
+    dense_mapper = config.dense.build(camera, world, clock.timed)
     joiner = config.joining.build(camera, world, places, config.seed, after=(dense_mapper.refresh,))
     loop_closer = config.loops.build(camera, world, places, config.seed, after=(dense_mapper.refresh,))
     return Slam(

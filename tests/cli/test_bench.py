@@ -1,6 +1,7 @@
 """`stillroom bench` on a few rendered frames, and its figures against plain arithmetic."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -131,6 +132,12 @@ def test_speed_tells_stages_in_units(tmp_path: Path) -> None:
     names = ("features", "tracking", "mapping", "semantics", "clusters", "dense", "carving")
     parts_ms = sum(stages[name]["cpu_mean_ms"] * stages[name]["n_frames"] / N_FRAMES for name in names)
     assert parts_ms <= frame["cpu_mean_ms"] < 1.5 * parts_ms
+    whole_ms = stages["dense"]["cpu_mean_ms"]
+    pieces = [stages[f"dense: {name}"] for name in ("removal", "doubts", "corrections")]
+    assert 0 < sum(piece["cpu_mean_ms"] for piece in pieces) < whole_ms
+    fusing = stages["dense: fusing"]
+    each = fusing["cpu_mean_ms"] / row["unit_cpu_ms"] * N_FRAMES / fusing["n_frames"]
+    assert re.search(rf"dense: fusing .*{each:.2f}", result.stdout)
     assert 50 < row["peak_memory_mb"] < 8000
     assert f"oc-slam: {row['units']:.2f} units a frame" in result.stdout
 

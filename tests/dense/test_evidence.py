@@ -5,7 +5,7 @@ import pytest
 from plain_room import CAMERA, DISTORTED, flat, image, pose
 
 from stillroom.dense.keyframe_cloud import UNIT_M, CloudMaker, SurfaceConfig
-from stillroom.dense.moving_removal import near_moving
+from stillroom.dense.moving_removal import MovingPoints
 from stillroom.dense.voxels.evidence_kernels import HIT, NOTHING, PASSED, answers, count_in_view, judge_in_view
 from stillroom.dense.voxels.fusing_kernels import SCORE, VOIDED_AT
 from stillroom.dense.voxels.voxel_map import VoxelMap
@@ -135,8 +135,25 @@ def test_near_moving_is_what_brute_force_finds() -> None:
     rng = np.random.default_rng(5)
     moving, candidates = rng.uniform(0, 1, (200, 3)), rng.uniform(-0.5, 1.5, (3000, 3)).astype(np.float32)
     distances = np.linalg.norm(candidates[:, None] - moving[None], axis=2).min(axis=1)
-    near = near_moving(moving, candidates, 0.05)
+    points = MovingPoints(moving)
+    near, perhaps = points.near(candidates, 0.05), points.perhaps_near(candidates, 0.05)
     assert near.sum() > 20
     assert np.array_equal(near, distances < 0.05)
-    assert not near_moving(np.zeros((0, 3)), candidates, 0.05).any()
-    assert len(near_moving(moving, np.zeros((0, 3), np.float32), 0.05)) == 0
+    assert perhaps[near].all()
+    assert distances[perhaps].max() < 0.05 * 2 * np.sqrt(3)
+    assert perhaps.mean() < 0.5
+    nothing = MovingPoints(np.zeros((0, 3)))
+    assert not nothing.near(candidates, 0.05).any()
+    assert not nothing.perhaps_near(candidates, 0.05).any()
+    for ask in (points.near, points.perhaps_near):
+        assert len(ask(np.zeros((0, 3), np.float32), 0.05)) == 0
+
+
+def test_none_is_missed_where_cells_must_be_large() -> None:
+    rng = np.random.default_rng(6)
+    moving, candidates = rng.uniform(-20, 20, (300, 3)), rng.uniform(-21, 21, (20000, 3)).astype(np.float32)
+    candidates[:300] = moving + rng.uniform(-0.02, 0.02, (300, 3))
+    points = MovingPoints(moving)
+    near = points.near(candidates, 0.05)
+    assert near.sum() >= 300
+    assert points.perhaps_near(candidates, 0.05)[near].all()

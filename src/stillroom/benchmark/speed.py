@@ -23,8 +23,11 @@ from stillroom.pipeline import SILENT, Progress
 from stillroom.pipeline.run import LOADING
 from stillroom.protocols import Dataset
 
-HEADER = ("stage [ms]", "in frames", "wall median", "p95", "CPU median", "p95", "mean", "units")
-"""Names of the columns of `Speed.rows`. Mean and units are of CPU time and over all frames."""
+HEADER = ("stage [ms]", "in frames", "wall median", "p95", "CPU median", "p95", "mean", "units", "units each")
+"""Names of the columns of `Speed.rows`. Mean and units are of CPU time and over all frames.
+
+Units each are over the frames in which the stage ran: what a keyframe costs the stages that only keyframes have.
+"""
 UNIT_EVERY = 10
 
 
@@ -64,6 +67,10 @@ class Speed:
         """The same by the clock on the wall."""
         return self.frame.wall_mean_ms / self.unit_wall_ms
 
+    def units_each(self, stage: StageTime) -> float:
+        """Return the mean cost of a stage over the frames in which it ran [units of CPU]."""
+        return stage.cpu_mean_ms * self.n_frames / stage.n_frames / self.unit_cpu_ms
+
     def rows(self) -> list[tuple[str, ...]]:
         """Return one row of cells under `HEADER` for each stage."""
         return [
@@ -76,6 +83,7 @@ class Speed:
                 ),
                 f"{stage.cpu_mean_ms:.1f}",
                 f"{stage.cpu_mean_ms / self.unit_cpu_ms:.2f}",
+                f"{self.units_each(stage):.2f}",
             )
             for stage in self.stages
         ]

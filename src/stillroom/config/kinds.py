@@ -26,7 +26,7 @@ from stillroom.dynamics.segments.sieve import MovedSegmentsConfig
 from stillroom.dynamics.whole_boxes import WholeBoxesConfig
 from stillroom.errors import ConfigError
 from stillroom.geometry.camera import Camera
-from stillroom.protocols import Clusterer, DenseMapping, KeypointSieve, MatchSieve, QuickTracking, Segmenter
+from stillroom.protocols import Clusterer, DenseMapping, KeypointSieve, MatchSieve, QuickTracking, Segmenter, Timing
 from stillroom.semantics.depth_clusters import DepthClustersConfig, NoClustersConfig
 from stillroom.semantics.mask_files import MaskFilesConfig
 from stillroom.semantics.masks.onnx_masks import OnnxMasksConfig
@@ -64,8 +64,8 @@ class KeypointSieveConfig(Protocol):
 class DenseMappingConfig(Protocol):
     """The config of a part that makes a dense map; a frozen dataclass."""
 
-    def build(self, camera: Camera, world: Map) -> DenseMapping:
-        """Return the dense map of a map's keyframes."""
+    def build(self, camera: Camera, world: Map, timed: Timing | None = None) -> DenseMapping:
+        """Return the dense map of a map's keyframes, which may have pieces of its work timed."""
 
 
 class MatchSieveConfig(Protocol):

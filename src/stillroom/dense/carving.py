@@ -7,7 +7,7 @@ import numpy as np
 from stillroom.data.image import RgbdImage
 from stillroom.data.map import Map
 from stillroom.dense.keyframe_cloud import UNIT_M, SurfaceConfig
-from stillroom.dense.moving_removal import near_moving
+from stillroom.dense.moving_removal import MovingPoints
 from stillroom.dense.voxels.evidence_kernels import NOTHING, answers, judge_in_view, judge_rows, mean_positions, rows_in
 from stillroom.dense.voxels.voxel_map import VoxelMap, block_centres_m, in_frustum
 from stillroom.dense.witnesses import Witnesses, lens_of, small_depth, views_of
@@ -174,15 +174,17 @@ class Carver:
     def _remove_moving(self, depth: U16, T_world_cam: F64, now: int) -> None:
         """Empty voxels near moving pixels (h, w) of which the image says nothing else: neither static nor passed."""
         voxels, config = self.voxels, self.config
-        moving_m = self._moving_points(depth, T_world_cam)
-        close = near_moving(moving_m, voxels.block_centres_m, config.radius_m + voxels.block_radius_m)
+        moving = MovingPoints(self._moving_points(depth, T_world_cam))
+        close = moving.near(voxels.block_centres_m, config.radius_m + voxels.block_radius_m)
         if not close.any():
             return
         rows = rows_in(close, voxels.rows)
         positions_m = mean_positions(rows, voxels.key, voxels.rows, voxels.voxel_m)
+        perhaps = moving.perhaps_near(positions_m, config.radius_m)
+        rows, positions_m = rows[perhaps], positions_m[perhaps]
         said = answers(positions_m, se3.inverse(T_world_cam), self._lens, views_of(depth), *self._seeing)
         open_to_it = said == NOTHING
-        gone = near_moving(moving_m, positions_m[open_to_it], config.radius_m)
+        gone = moving.near(positions_m[open_to_it], config.radius_m)
         voxels.void(rows[open_to_it][gone], now, config.lowest)
 
     def _moving_points(self, depth: U16, T_world_cam: F64) -> F64:

@@ -1,5 +1,6 @@
 """The dense map: keyframes' static pixels in voxels, without what moved, wherever the keyframes are now."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -23,6 +24,7 @@ from stillroom.errors import ConfigError
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64, I32, Bool
 from stillroom.geometry.camera import Camera
+from stillroom.protocols import P, T, Timing
 
 MB = float(1 << 20)
 CLOUD_SHARE, VOXEL_SHARE, WITNESS_SHARE = 0.45, 0.45, 0.1
@@ -63,8 +65,13 @@ class DenseMapperConfig:
     max_memory_mb: float = 512.0
     swap_folder: Path | None = None
 
-    def build(self, camera: Camera, world: Map) -> "DenseMapper":
+    def build(self, camera: Camera, world: Map, timed: Timing | None = None) -> "DenseMapper":
         """Return an empty dense map of a map's keyframes.
+
+        Args:
+            camera: The calibration.
+            world: The map.
+            timed: Times what the stages consist of.
 
         Raises:
             ConfigError: A value is impossible.
@@ -86,14 +93,14 @@ class DenseMapperConfig:
             raise ConfigError(
                 f"dense.surface.far_m is {surface.far_m} and near_m {surface.near_m}; they must be a range of depths"
             )
-        return DenseMapper(self, camera, world)
+        return DenseMapper(self, camera, world, timed)
 
 
 class DenseMapper:
     """Fuses keyframes, removes what moved, follows corrections of the poses."""
 
-    def __init__(self, config: DenseMapperConfig, camera: Camera, world: Map) -> None:
-        """Start empty."""
+    def __init__(self, config: DenseMapperConfig, camera: Camera, world: Map, timed: Timing | None = None) -> None:
+        """Start empty; arguments as of `DenseMapperConfig.build`."""
         self.config, self.camera, self.world = config, camera, world
         self.voxels = VoxelMap(config.voxel_m)
         self._maker = CloudMaker(config.surface, camera)
@@ -109,6 +116,11 @@ class DenseMapper:
         self._clock = 0
         self._last_keyframe = -1
         self._since_fused = 0
+        timed = timed or _untimed
+        self._fuse_image = timed("dense: fusing", self._fuse)
+        self._judge_keyframe = timed("dense: removal", self._carver.judge_keyframe)
+        self._ask_earlier = timed("dense: doubts", self._carver.ask_earlier)
+        self._correct_some = timed("dense: corrections", self._correct)
 
     @property
     def n_bytes(self) -> int:
@@ -129,12 +141,12 @@ class DenseMapper:
         if keyframe in self._view_of and self._view_of[keyframe] in self._clouds:
             self._take_out(self._view_of[keyframe])
         self._view_of[keyframe] = self._views.new(keyframe, np.eye(4))
-        self._fuse(self._view_of[keyframe], image, excluded, T_world_cam)
+        self._fuse_image(self._view_of[keyframe], image, excluded, T_world_cam)
         self._last_keyframe = keyframe
         if self.config.carving.removal:
-            self._carver.judge_keyframe(keyframe, image, excluded, T_world_cam, self._tick())
-            self._carver.ask_earlier(self._newborn)
-        self._correct(self.config.corrections)
+            self._judge_keyframe(keyframe, image, excluded, T_world_cam, self._tick())
+            self._ask_earlier(self._newborn)
+        self._correct_some(self.config.corrections)
         self._keep_within_bound(T_world_cam)
 
     def carve(self, image: RgbdImage, T_world_cam: F64, excluded: Bool | None = None) -> None:
@@ -232,3 +244,7 @@ class DenseMapper:
                 se3.inverse(T_world_cam), self._lens, self._size_px, self.config.surface.far_m
             )
             self._swapped.out(self.voxels, bound, needed, T_world_cam)
+
+
+def _untimed(name: str, function: Callable[P, T]) -> Callable[P, T]:
+    return function

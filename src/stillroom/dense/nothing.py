@@ -7,13 +7,14 @@ from stillroom.data.image import RgbdImage
 from stillroom.data.map import Map
 from stillroom.geometry.arrays import F64, Bool
 from stillroom.geometry.camera import Camera
+from stillroom.protocols import Timing
 
 
 @dataclass(frozen=True)
 class NoDenseMapConfig:
     """There is nothing to choose."""
 
-    def build(self, camera: Camera, world: Map) -> "NoDenseMap":
+    def build(self, camera: Camera, world: Map, timed: Timing | None = None) -> "NoDenseMap":
         """Return the dense map that is none."""
         return NoDenseMap()
 

@@ -201,11 +201,20 @@ class VoxelMap:
     def _reserve(self, n_rows: int) -> None:
         capacity = len(self._key)
         if n_rows > capacity:
-            n_more = max(n_rows, int(GROWTH * capacity)) - self.n_rows
-            self._key = np.concatenate((self.key, np.zeros(n_more, dtype=np.int64)))
-            self._rows = np.concatenate((self.rows, _fresh_rows(n_more)))
+            self._grow(max(n_rows, int(GROWTH * capacity)))
         if n_rows > MAX_LOAD * len(self._slot_key):
             self._rehash(_slots_for(n_rows))
+
+    def _grow(self, capacity: int) -> None:
+        """Make room for so many rows, in place if nobody is looking at them: then the system need not copy them."""
+        before = len(self._rows)
+        try:
+            self._rows.resize((capacity, N_COLUMNS))
+            self._key.resize(capacity)
+        except ValueError:
+            self._key = np.concatenate((self.key, np.zeros(capacity - self.n_rows, dtype=np.int64)))
+            self._rows = np.concatenate((self._rows[:before], np.zeros((capacity - before, N_COLUMNS), dtype=np.int32)))
+        self._rows[before:, VOIDED_AT] = NEVER
 
     def _rehash(self, n_slots: int) -> None:
         self._slot_key = np.full(n_slots, EMPTY, dtype=np.int64)

@@ -345,3 +345,45 @@ def test_what_was_known_stays_known() -> None:
 def test_impossible_values_are_named(config: DepthClustersConfig, key: str) -> None:
     with pytest.raises(ConfigError, match=key):
         config.build(CAMERA, seed=0)
+
+
+def test_what_a_mask_covers_belongs_to_no_cluster_and_what_is_carried_is_one_of_its_own() -> None:
+    """Somebody at 2 m holds a box in front of him; the wall is at 4 m."""
+    depth_m = np.full((480, 640), 4.0, dtype=np.float32)
+    body, box = np.zeros((480, 640), dtype=bool), np.zeros((480, 640), dtype=bool)
+    body[120:, 260:340] = True
+    box[220:300, 320:420] = True
+    rows, columns = np.indices(depth_m.shape)
+    depth_m[body] = (2.0 + 0.0005 * np.abs(columns - 300))[body]
+    depth_m[box] = (1.9 + 0.001 * np.abs(columns - 370) + 0.001 * np.abs(rows - 260))[box]
+    mask = body & ~box
+    known = Semantics(480, 640, (person_box(260, 120, 420, 479),), mask)
+    image = image_of(depth_m)
+    joined = DepthClustersConfig().build(CAMERA, 0)(image, Done(known)).clusters
+    apart = DepthClustersConfig(leave_out_masked=True).build(CAMERA, 0)(image, Done(known)).clusters
+    assert joined is not None
+    assert apart is not None
+    carried = joined.labels[260, 400]
+    assert carried == joined.labels[400, 300] >= 0, "without, they are one"
+    assert (apart.labels[mask] < 0).mean() > 0.95
+    assert (apart.labels[box] == apart.labels[260, 400]).mean() > 0.9
+    assert apart.labels[260, 400] >= 0
+    assert (apart.box == -1).all(), "the box of who is masked is no help"
+
+
+def test_a_named_thing_is_taken_apart_from_what_it_touches() -> None:
+    """A chair before a shelf that it touches."""
+    depth_m = np.full((480, 640), 4.0, dtype=np.float32)
+    rows, columns = np.indices(depth_m.shape)
+    near = (columns > 200) & (columns < 420) & (rows > 200) & (rows < 420)
+    depth_m[near] = (1.5 + 0.004 * np.abs(columns - 310) + 0.003 * np.abs(rows - 310))[near]
+    chair = Box(200.0, 200.0, 309.0, 420.0, "chair", 0.8)
+    whole, named = (replace(nothing(480, 640), named=boxes) for boxes in ((), (chair,)))
+    clusterer = DepthClustersConfig(leave_out_masked=True, box_half_depth_m=1.0).build(CAMERA, 0)
+    one, two = (clusterer(image_of(depth_m), Done(known)).clusters for known in (whole, named))
+    assert one is not None
+    assert two is not None
+    assert one.labels[310, 250] == one.labels[310, 370] >= 0
+    left, right = two.labels[310, 250], two.labels[310, 370]
+    assert left != right
+    assert (two.box[left], two.box[right]) == (0, -1)

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from onnx import TensorProto, helper
@@ -190,3 +191,57 @@ def test_names_of_the_test_network() -> None:
     assert VOC_CLASSES[15] == "person"
     assert len(VOC_CLASSES) == 21
     assert CLASSES[1] == "person"
+
+
+def test_named_classes_are_boxes_and_no_reason_to_think_that_anything_moves(tmp_path: Path) -> None:
+    rgb = np.full((240, 320, 3), 90, np.uint8)
+    rgb[20:120, 40:100] = 200, 60, 60  # a person
+    rgb[60:200, 180:280] = 60, 60, 200  # a dog, which here stands for a chair
+    image = RgbdImage(0, 0.0, rgb, np.zeros((240, 320), np.float32))
+    red = save_red_network(tmp_path / "red.onnx")
+    plain, named = (red_config(red, named=names).build()(image) for names in ((), ("dog",)))
+    np.testing.assert_array_equal(named.mask, plain.mask)
+    assert named.boxes == plain.boxes
+    assert plain.named == ()
+    (dog,) = named.named
+    assert (dog.label, dog.carried) == ("dog", 0)
+    assert np.abs(np.subtract(dog.xyxy_px, (180, 60, 279, 199))).max() <= 2
+    assert dog.confidence > 0.9
+    rgb[20:120, 40:100] = 90
+    alone = red_config(red, named=("dog",)).build()(image)
+    assert not alone.has_any
+    assert alone.named == named.named
+
+
+def test_named_things_are_carried_when_the_network_is_late(tmp_path: Path) -> None:
+    rng = np.random.default_rng(3)
+    ground, coat = (
+        cv2.resize(rng.integers(0, 120, (40, 60), dtype=np.uint8), (360, 240), interpolation=cv2.INTER_LINEAR)
+        for _ in range(2)
+    )
+    masks = red_config(save_red_network(tmp_path / "red.onnx"), named=("dog",), every=4).build()
+    for index in range(4):
+        rgb = np.repeat(ground[:, :320, None], 3, axis=2)
+        left = 120 + 5 * index
+        rgb[60:200, left : left + 100] = coat[60:200, 120:220, None] + np.array([0, 0, 90], np.uint8)
+        depth_m = np.full((240, 320), 2.0, np.float32)
+        depth_m[60:200, left : left + 100] = 1.2
+        known = masks(RgbdImage(index, index / 30.0, rgb, depth_m))
+        (dog,) = known.named
+        assert dog.carried == index
+        assert abs(dog.x_min_px - left) <= 6
+
+
+def test_in_a_crowd_masks_are_grown_less(tmp_path: Path) -> None:
+    red = save_red_network(tmp_path / "red.onnx")
+    config = red_config(red)
+    config = replace(config, regions=replace(config.regions, dilate_px=15))
+
+    def width_px(columns: int) -> int:
+        rgb = np.full((240, 320, 3), 90, np.uint8)
+        rgb[:, 20 : 20 + columns] = 200, 60, 60
+        known = config.build()(RgbdImage(0, 0.0, rgb, np.zeros((240, 320), np.float32)))
+        return int(np.flatnonzero(known.movable[120]).max()) - (20 + columns - 1)
+
+    assert abs(width_px(100) - 15) <= 1
+    assert abs(width_px(180) - 5) <= 1, "it would be over 60 % of the image"

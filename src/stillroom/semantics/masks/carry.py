@@ -53,8 +53,10 @@ def carried(segments: Segments, earlier: HalfImage, now: HalfImage, config: Mask
     likely = cv2.remap(segments.probability, x, y, cv2.INTER_LINEAR, borderValue=0)
     before_m = cv2.remap(earlier.depth_m, x, y, cv2.INTER_NEAREST, borderValue=0)
     known = (before_m > 0) & (now.depth_m > 0)
-    label[known & (np.abs(now.depth_m - before_m) > config.depth_step_m)] = 0
+    other = known & (np.abs(now.depth_m - before_m) > config.depth_step_m)
+    label[other] = 0
     named = segments.named
     if named is not None:
         named = np.asarray(cv2.remap(named, x, y, cv2.INTER_NEAREST, borderValue=0), dtype=np.uint8)
+        named[other] = 0
     return Segments(np.asarray(label, dtype=np.uint8), np.asarray(likely, dtype=np.float32), named)

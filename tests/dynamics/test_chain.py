@@ -1,0 +1,96 @@
+"""Sieves in one socket: all are asked, what any finds moves, and those that would leave too little go unheard."""
+
+import numpy as np
+import pytest
+from small_world import SmallMap, SmallWorld, no_semantics, pose
+
+from stillroom.data.frame import Frame
+from stillroom.data.map import Map
+from stillroom.data.matches import Matches
+from stillroom.data.motion import Motion, Stage
+from stillroom.data.semantics import Box, Semantics
+from stillroom.dynamics.chain import Chain
+from stillroom.dynamics.enough import leaves_enough, or_less
+from stillroom.protocols import Pending
+
+SMALL = SmallMap.of(SmallWorld.of(0), [pose()])
+FRAME = SMALL.frames[0]
+MATCHES = Matches.of(SMALL.id_of[SMALL.seen[0]])
+
+
+class Fixed:
+    """Rejects keypoints from one number to another, and pixels of as many rows."""
+
+    def __init__(self, first: int, last: int) -> None:
+        self.first, self.last, self.asked = first, last, []
+
+    def judge(
+        self,
+        stage: Stage,
+        frame: Frame,
+        matches: Matches,
+        semantics: Pending[Semantics],
+        T_cam_world: np.ndarray,
+        world: Map,
+    ) -> Motion:
+        self.asked.append(stage)
+        motion = Motion.none(len(frame), frame.image.height, frame.image.width)
+        motion.is_static[self.first : self.last] = False
+        motion.moving[self.first : self.last] = True
+        return motion
+
+
+def judged(*sieves: Fixed, matches: Matches = MATCHES, min_matches: int = 40) -> Motion:
+    chain = Chain(sieves, min_matches)
+    return chain.judge(Stage.LOCAL_MAP, FRAME, matches, no_semantics(), np.eye(4), SMALL.map)
+
+
+def rejected(motion: Motion) -> list[int]:
+    return np.flatnonzero(~motion.is_static).tolist()
+
+
+def test_what_any_finds_moves() -> None:
+    sieves = Fixed(0, 10), Fixed(5, 20), Fixed(40, 41)
+    motion = judged(*sieves)
+    assert rejected(motion) == [*range(20), 40]
+    assert np.flatnonzero(motion.moving.all(axis=1)).tolist() == [*range(20), 40]
+    assert all(sieve.asked == [Stage.LOCAL_MAP] for sieve in sieves)
+
+
+def test_one_that_would_leave_too_little_goes_unheard_and_the_next_does_not() -> None:
+    n = len(FRAME)
+    assert len(MATCHES) == n
+    too_much = Fixed(20, n - 39 + 10)
+    motion = judged(Fixed(0, 10), too_much, Fixed(12, 15))
+    assert rejected(motion) == [*range(10), *range(12, 15)]
+    assert too_much.asked, "it has a past to keep, heard or not"
+    assert not motion.moving[20:].any()
+    just_enough = judged(Fixed(0, 10), Fixed(10, n - 40))
+    assert rejected(just_enough) == list(range(n - 40))
+
+
+def test_where_there_were_too_few_matches_before_all_are_heard() -> None:
+    few = MATCHES.keep(np.arange(len(MATCHES)) < 30)
+    assert rejected(judged(Fixed(0, 10), Fixed(10, 25), matches=few)) == list(range(25))
+
+
+@pytest.mark.parametrize(("left", "enough"), [(40, True), (39, False)])
+def test_enough_is_enough(left: int, enough: bool) -> None:
+    motion = Motion.none(len(FRAME), 480, 640)
+    motion.is_static[left:] = False
+    assert leaves_enough(motion, MATCHES, 40) == enough
+
+
+def test_a_verdict_falls_back_to_the_masks_and_then_to_nothing() -> None:
+    everything = Motion(np.zeros(len(FRAME), dtype=np.bool_), np.ones((480, 640), dtype=np.bool_))
+    some = Semantics(480, 640, (Box(0.0, 0.0, 100.0, 479.0, "person", 1.0),))
+    masked = or_less(everything, FRAME, some, MATCHES, 40)
+    np.testing.assert_array_equal(masked.moving, some.movable)
+    np.testing.assert_array_equal(masked.is_static, ~some.movable_at(FRAME.keypoints.raw_px))
+    assert not masked.is_static.all()
+    all_over = Semantics(480, 640, (Box(0.0, 0.0, 639.0, 479.0, "person", 1.0),))
+    nothing = or_less(everything, FRAME, all_over, MATCHES, 40)
+    assert nothing.is_static.all()
+    assert not nothing.moving.any()
+    one = Motion.none(len(FRAME), 480, 640)
+    assert or_less(one, FRAME, some, MATCHES, 40) is one

@@ -11,7 +11,7 @@ from stillroom.dense.dense_mapper import DenseMapperConfig
 from stillroom.dynamics.masked_keypoints import MaskedKeypointsConfig
 from stillroom.dynamics.multiview.sieve import MultiViewConfig
 from stillroom.methods.method import Method
-from stillroom.semantics.masks.onnx_masks import OnnxMasksConfig
+from stillroom.semantics.masks.pspnet import PspNetConfig
 from stillroom.semantics.masks.regions import RegionsConfig
 from stillroom.tracking.low_cost import LowCostConfig
 
@@ -25,7 +25,7 @@ METHOD = Method(
     summary="a network's masks, and multi-view geometry with region growing for what has come since",
     config=SlamConfig(
         method="dynaslam",
-        semantics=OnnxMasksConfig(regions=RegionsConfig(dilate_px=DILATE_PX)),
+        semantics=PspNetConfig(input="320x240", regions=RegionsConfig(dilate_px=DILATE_PX)),
         keypoints=MaskedKeypointsConfig(),
         low_cost=LowCostConfig(),
         dynamics=MultiViewConfig(),

@@ -14,7 +14,7 @@ from stillroom.dynamics.masked_keypoints import MaskedKeypointsConfig
 from stillroom.dynamics.segments.sieve import MovedSegmentsConfig
 from stillroom.methods.method import Method
 from stillroom.semantics.depth_clusters import DepthClustersConfig
-from stillroom.semantics.masks.onnx_masks import OnnxMasksConfig
+from stillroom.semantics.masks.pspnet import PspNetConfig
 from stillroom.tracking.low_cost import LowCostConfig
 
 METHOD = Method(
@@ -22,7 +22,7 @@ METHOD = Method(
     summary="PSPNet's masks; what a compensated homography, along an ant path, does not explain; segments that move",
     config=SlamConfig(
         method="pspnet-slam",
-        semantics=OnnxMasksConfig(named=("chair", "tvmonitor", "bottle")),
+        semantics=PspNetConfig(input="320x240", named=("chair", "tvmonitor", "bottle")),
         clusters=DepthClustersConfig(leave_out_masked=True),
         keypoints=MaskedKeypointsConfig(),
         low_cost=LowCostConfig(),

@@ -48,7 +48,7 @@ class EventfulLife:
     def __post_init__(self) -> None:
         self.rng = np.random.default_rng(self.seed)
         self.small = SmallMap(SmallWorld.of(self.seed, n=self.n_points))
-        for _ in range(3):
+        for _ in range(5):
             self.add_keyframe()
 
     @property
@@ -63,6 +63,7 @@ class EventfulLife:
             self.remove_points,
             self.replace_points,
             self.remove_observations,
+            self.observe,
             self.adjust,
             self.find,
             self.connect,
@@ -99,6 +100,14 @@ class EventfulLife:
     def remove_observations(self) -> None:
         rows = np.flatnonzero(self.world.keypoints.point >= 0)
         self.world.remove_observations(self.rng.permutation(rows)[:20])
+
+    def observe(self) -> None:
+        """Let keyframes see points that others saw before, as fusing does."""
+        table = self.world.keypoints
+        free = np.flatnonzero((table.point < 0) & self.world.keyframes.is_alive[table.keyframe])
+        rows = self.rng.permutation(free)[:10]
+        points = self.some_points(len(rows)).astype(np.int32)
+        self.world.observe(points, rows[: len(points)])
 
     def adjust(self) -> None:
         moved, world = self.some_points(40), self.world

@@ -61,7 +61,7 @@ def test_a_file_gives_the_images_of_its_keyframes(tmp_path: Path) -> None:
     with MapWriter.create(path, life.world, CAMERA) as writer:
         writer.begin(session())
         writer.commit()
-        assert len(life.world.keyframes) == 3
+        assert len(life.world.keyframes) == 5
         for keyframe in (2, 0):
             life.add_keyframe()
             writer.commit(pictures=compress(keyframe, picture(keyframe), none_moves, CAMERA.depth_factor))

@@ -29,20 +29,26 @@ class Resemblance:
         return len(self.keyframes)
 
 
-class _Entries(Table):
-    """Words of keyframes, keyframe after keyframe; the entries of one word are a list, the newest first."""
+ENTRIES = 7
+USED, NEXT = 2 * ENTRIES, 2 * ENTRIES + 1
+"""A block of the inverted file is one line of the processor's cache: seven keyframes of a word, each with its weight (a
+float32 in the bits of an int32), how many of the seven there are, and the next block."""
+N_BLOCKS, FREE = 0, 1
+"""What the kernels keep count of: blocks that were ever used, and the first of those given back."""
 
-    keyframe = Column(np.int32, fill=-1)
+
+class _Said(Table):
+    """What keyframes say, keyframe after keyframe."""
+
     word = Column(np.int32, fill=-1)
     weight = Column(np.float32)
-    next_entry = Column(np.int32, fill=-1)
 
 
 class _Members(Table):
-    """A row for each keyframe id: where its entries and its nodes lie."""
+    """A row for each keyframe id: where what it says and its nodes lie."""
 
-    first_entry = Column(np.int64)
-    n_entries = Column(np.int64)
+    first_word = Column(np.int64)
+    n_words = Column(np.int64)
     first_node = Column(np.int64)
     n_nodes = Column(np.int64)
     is_in = Column(np.bool_)
@@ -55,13 +61,15 @@ class _Nodes(Table):
 
 
 class PlaceIndex:
-    """Keyframes by their words. Removed ones cost nothing but their place in memory."""
+    """Keyframes by their words. What a removed one said keeps its place in memory, but costs no time."""
 
     def __init__(self, n_words: int) -> None:
         """Start empty, for a vocabulary of so many words."""
         self.n_words = n_words
-        self._first_entry: I32 = np.full(n_words, -1, dtype=np.int32)
-        self._entries, self._members, self._nodes = _Entries(65536), _Members(256), _Nodes(65536)
+        self._said, self._members, self._nodes = _Said(65536), _Members(256), _Nodes(65536)
+        self._first_block: I32 = np.full(n_words, -1, dtype=np.int32)
+        self._blocks: I32 = np.empty((16384, 2 * ENTRIES + 2), dtype=np.int32)
+        self._counts: I64 = np.array([0, -1])
 
     def __len__(self) -> int:
         """Number of keyframes in it."""
@@ -79,28 +87,29 @@ class PlaceIndex:
     @property
     def n_bytes(self) -> int:
         """Memory in use for keyframes."""
-        tables = (self._entries, self._members, self._nodes)
-        return sum(view.nbytes for table in tables for view in table.views.values())
+        tables = (self._said, self._members, self._nodes)
+        in_tables = sum(view.nbytes for table in tables for view in table.views.values())
+        return in_tables + int(self._blocks[: self._counts[N_BLOCKS]].nbytes)
 
     def add(self, keyframe: int, bag: Bag) -> None:
         """Add a keyframe; one that is in already is replaced."""
         self.remove(keyframe)
-        if keyframe >= len(self._members):
-            self._members.append(keyframe + 1 - len(self._members))
-        rows = self._entries.append(len(bag), keyframe=keyframe, word=bag.words, weight=bag.weights)
-        nodes = self._nodes.append(len(bag.nodes), node=bag.nodes)
         members = self._members
-        members.first_entry[keyframe], members.n_entries[keyframe] = rows.start, len(bag)
+        if keyframe >= len(members):
+            members.append(keyframe + 1 - len(members))
+        said = self._said.append(len(bag), word=bag.words, weight=bag.weights)
+        nodes = self._nodes.append(len(bag.nodes), node=bag.nodes)
+        members.first_word[keyframe], members.n_words[keyframe] = said.start, len(bag)
         members.first_node[keyframe], members.n_nodes[keyframe] = nodes.start, len(bag.nodes)
         members.is_in[keyframe] = True
-        enter(rows.start, rows.stop, self._entries.word, self._entries.next_entry, self._first_entry)
+        self._reserve(len(bag))
+        enter(keyframe, bag.words, bag.weights.view(np.int32), self._blocks, self._first_block, self._counts)
 
     def remove(self, keyframe: int) -> None:
         """Take a keyframe out, if it is in."""
         if keyframe not in self:
             return
-        rows = self._rows(keyframe)
-        leave(rows.start, rows.stop, self._entries.word, self._entries.next_entry, self._first_entry)
+        leave(keyframe, self._said.word[self._rows(keyframe)], self._blocks, self._first_block, self._counts)
         self._members.is_in[keyframe] = False
 
     def bag(self, keyframe: int) -> Bag:
@@ -112,7 +121,7 @@ class PlaceIndex:
         if keyframe not in self:
             raise KeyError(keyframe)
         rows = self._rows(keyframe)
-        return Bag(self._entries.word[rows].copy(), self._entries.weight[rows].copy(), self.nodes(keyframe))
+        return Bag(self._said.word[rows].copy(), self._said.weight[rows].copy(), self.nodes(keyframe))
 
     def nodes(self, keyframe: int) -> I32:
         """Return the branch of each keypoint (N,) of a keyframe that is in; −1 for those that were left out.
@@ -142,18 +151,22 @@ class PlaceIndex:
         scores, n_common = resemble(
             bag.words,
             bag.weights,
-            self._first_entry,
-            self._entries.next_entry,
-            self._entries.keyframe,
-            self._entries.weight,
+            self._first_block,
+            self._blocks,
+            self._blocks.view(np.float32),
             may_answer,
         )
         found = np.flatnonzero(n_common)
         return Resemblance(found.astype(np.int32), scores[found], n_common[found])
 
     def _rows(self, keyframe: int) -> slice:
-        start = int(self._members.first_entry[keyframe])
-        return slice(start, start + int(self._members.n_entries[keyframe]))
+        start = int(self._members.first_word[keyframe])
+        return slice(start, start + int(self._members.n_words[keyframe]))
+
+    def _reserve(self, n_words: int) -> None:
+        """Make room for as many blocks as a keyframe with so many words may need."""
+        while self._counts[N_BLOCKS] + n_words > len(self._blocks):
+            self._blocks = np.concatenate((self._blocks, np.empty_like(self._blocks)))
 
 
 def score(first: Bag, second: Bag) -> float:
@@ -163,37 +176,48 @@ def score(first: Bag, second: Bag) -> float:
 
 
 @njit(nogil=True, cache=True)
-def enter(start: int, stop: int, entry_word: I32, next_entry: I32, first_entry: I32) -> None:
-    """Put entries at the head of their words' lists."""
-    for entry in range(start, stop):
-        word = entry_word[entry]
-        next_entry[entry] = first_entry[word]
-        first_entry[word] = entry
+def enter(keyframe: int, words: I32, weight_bits: I32, blocks: I32, first_block: I32, counts: I64) -> None:
+    """Note a keyframe under each of its words (W,)."""
+    for i in range(len(words)):
+        block = first_block[words[i]]
+        if block < 0 or blocks[block, USED] == ENTRIES:
+            if counts[FREE] >= 0:
+                new = counts[FREE]
+                counts[FREE] = blocks[new, NEXT]
+            else:
+                new = counts[N_BLOCKS]
+                counts[N_BLOCKS] += 1
+            blocks[new, USED], blocks[new, NEXT] = 0, block
+            first_block[words[i]] = new
+            block = new
+        used = blocks[block, USED]
+        blocks[block, 2 * used], blocks[block, 2 * used + 1] = keyframe, weight_bits[i]
+        blocks[block, USED] = used + 1
 
 
 @njit(nogil=True, cache=True)
-def leave(start: int, stop: int, entry_word: I32, next_entry: I32, first_entry: I32) -> None:
-    """Take entries out of their words' lists."""
-    for entry in range(start, stop):
-        word = entry_word[entry]
-        if first_entry[word] == entry:
-            first_entry[word] = next_entry[entry]
-            continue
-        other = first_entry[word]
-        while next_entry[other] != entry:
-            other = next_entry[other]
-        next_entry[other] = next_entry[entry]
+def leave(keyframe: int, words: I32, blocks: I32, first_block: I32, counts: I64) -> None:
+    """Strike a keyframe out under each of its words (W,); the newest entry of a word takes the place that it leaves."""
+    for i in range(len(words)):
+        head = first_block[words[i]]
+        block, place = head, 0
+        while blocks[block, 2 * place] != keyframe:
+            place += 1
+            if place == blocks[block, USED]:
+                block, place = blocks[block, NEXT], 0
+        last = blocks[head, USED] - 1
+        blocks[block, 2 * place] = blocks[head, 2 * last]
+        blocks[block, 2 * place + 1] = blocks[head, 2 * last + 1]
+        blocks[head, USED] = last
+        if last == 0:
+            first_block[words[i]] = blocks[head, NEXT]
+            blocks[head, NEXT] = counts[FREE]
+            counts[FREE] = head
 
 
 @njit(nogil=True, cache=True)
 def resemble(
-    words: I32,
-    weights: F32,
-    first_entry: I32,
-    next_entry: I32,
-    entry_keyframe: I32,
-    entry_weight: F32,
-    may_answer: Bool,
+    words: I32, weights: F32, first_block: I32, blocks: I32, blocks_as_float: F32, may_answer: Bool
 ) -> tuple[F64, I32]:
     """Add up for each keyframe (K,) what it shares with the words (W,): the lesser weights, and their number.
 
@@ -201,12 +225,13 @@ def resemble(
     """
     scores = np.zeros(len(may_answer), np.float64)
     n_common = np.zeros(len(may_answer), np.int32)
-    for i in range(len(words)):
-        entry = first_entry[words[i]]
-        while entry >= 0:
-            keyframe = entry_keyframe[entry]
-            if may_answer[keyframe]:
-                scores[keyframe] += min(weights[i], entry_weight[entry])
-                n_common[keyframe] += 1
-            entry = next_entry[entry]
+    for w in range(len(words)):
+        block = first_block[words[w]]
+        while block >= 0:
+            for place in range(blocks[block, USED]):
+                keyframe = blocks[block, 2 * place]
+                if may_answer[keyframe]:
+                    scores[keyframe] += min(weights[w], blocks_as_float[block, 2 * place + 1])
+                    n_common[keyframe] += 1
+            block = blocks[block, NEXT]
     return scores, n_common

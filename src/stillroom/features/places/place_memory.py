@@ -1,12 +1,13 @@
 """What a map remembers of its places: the keyframes of the map in an index, kept up to date."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from stillroom.data.frame import Frame
 from stillroom.data.map import Map
 from stillroom.features.places.candidates import best_places
 from stillroom.features.places.place_index import PlaceIndex
+from stillroom.features.places.training import TrainingConfig, grow
 from stillroom.features.places.vocabulary import Bag, Vocabulary, load_vocabulary
 from stillroom.geometry.arrays import I32, Bool
 
@@ -17,9 +18,13 @@ class PlacesConfig:
 
     Attributes:
         vocabulary: The file of the vocabulary, from `stillroom train-vocabulary`; None for the one that is shipped.
+        grow_every: The tree grows on the run's own keyframes each time that so many have come; 0: never.
+        growth: How it grows.
     """
 
     vocabulary: Path | None = None
+    grow_every: int = 0
+    growth: TrainingConfig = field(default_factory=lambda: TrainingConfig(depth=6, min_descriptors=50))
 
     def build(self, world: Map) -> "PlaceMemory":
         """Return the memory of a map's places, empty.
@@ -27,7 +32,7 @@ class PlacesConfig:
         Raises:
             VocabularyError: The vocabulary cannot be read.
         """
-        return PlaceMemory(load_vocabulary(self.vocabulary), world)
+        return PlaceMemory(load_vocabulary(self.vocabulary), world, self)
 
 
 class PlaceMemory:
@@ -38,16 +43,30 @@ class PlaceMemory:
         index: The keyframes by their words; loop closing asks it too.
     """
 
-    def __init__(self, vocabulary: Vocabulary, world: Map) -> None:
+    def __init__(self, vocabulary: Vocabulary, world: Map, config: PlacesConfig | None = None) -> None:
         """Start empty."""
-        self.vocabulary, self.world = vocabulary, world
+        self.vocabulary, self.world, self.config = vocabulary, world, config or PlacesConfig()
         self.index = PlaceIndex(vocabulary.n_words)
+        self._since_grown = 0
 
     def remember(self, keyframe: int) -> None:
         """Add a keyframe of the map, and drop those that the map has culled since."""
         self.forget_culled()
         if self.world.keyframes.is_alive[keyframe]:
             self.index.add(keyframe, self.bag_of_keyframe(keyframe))
+        self._since_grown += 1
+        if 0 < self.config.grow_every <= self._since_grown:
+            self.grow()
+
+    def grow(self) -> None:
+        """Split words that say too much in this map, by its own keyframes, and index these anew."""
+        self._since_grown = 0
+        table = self.world.keypoints
+        rows = [self.world.rows(int(keyframe)) for keyframe in self.world.alive_keyframes()]
+        static = [table.descriptors[some][table.is_static[some]] for some in rows]
+        self.vocabulary = grow(self.vocabulary, static, self.config.growth)
+        self.index = PlaceIndex(self.vocabulary.n_words)
+        self.remember_all()
 
     def remember_all(self) -> None:
         """Add all keyframes of the map that are not in yet, as for a map that was read from a file."""

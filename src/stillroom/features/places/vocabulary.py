@@ -12,7 +12,7 @@ from numba import njit
 
 from stillroom.errors import VocabularyError
 from stillroom.geometry.arrays import F32, I32, U8, U64, Bool
-from stillroom.geometry.hamming import hamming, words
+from stillroom.geometry.hamming import popcount64, words
 
 FORMAT = 1
 SHIPPED = "default.vocabulary"
@@ -170,11 +170,13 @@ def descend(descriptors: U64, centres: U64, first_child: I32, n_children: I32, d
     leaf = np.zeros(n, np.int32)
     passed = np.zeros(n, np.int32)
     for i in range(n):
+        d0, d1, d2, d3 = descriptors[i]
         node, level = 0, 0
         while n_children[node] > 0:
             best, nearest = 257, 0
             for child in range(first_child[node], first_child[node] + n_children[node]):
-                bits = hamming(descriptors, i, centres, child)
+                bits = popcount64(d0 ^ centres[child, 0]) + popcount64(d1 ^ centres[child, 1])
+                bits += popcount64(d2 ^ centres[child, 2]) + popcount64(d3 ^ centres[child, 3])
                 if bits < best:
                     best, nearest = bits, child
             node = nearest

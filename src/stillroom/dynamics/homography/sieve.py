@@ -13,6 +13,7 @@ from stillroom.data.matches import Matches
 from stillroom.data.motion import Motion, Stage
 from stillroom.data.semantics import Semantics
 from stillroom.dynamics.ants.search import Found, ReverseSearchConfig, exhaustive
+from stillroom.dynamics.enough import or_less
 from stillroom.dynamics.homography.compensation import CameraMotion, Compensation, CompensationConfig
 from stillroom.dynamics.homography.past import Past, view_of
 from stillroom.dynamics.homography.point_test import DYNAMIC, UNKNOWN, PointTest, PointTestConfig, View
@@ -39,7 +40,8 @@ class CompensatedHomographyConfig:
 
     Attributes:
         earlier_s: Age of the image that the present one is compared with [s].
-        min_matches: The sieve is off where fewer matches than this would stay.
+        min_matches: Geometry is not heard where fewer matches than this would stay, nor then masks: tracking needs 30
+            that agree.
         search: reverse, along the path; or exhaustive, every point.
         fill_px, fill_m: Pixels in the hull of a moving community move when they are this near to one of its points, in
             the image and in depth; the wall behind it does not.
@@ -49,7 +51,7 @@ class CompensatedHomographyConfig:
     """
 
     earlier_s: float = 0.1
-    min_matches: int = 20
+    min_matches: int = 40
     search: str = "reverse"
     fill_px: float = 40.0
     fill_m: float = 0.15
@@ -112,9 +114,8 @@ class CompensatedHomographySieve:
         world: Map,
     ) -> Motion:
         """Judge by the masks, and outside them by geometry."""
-        nothing_moves = Motion.none(len(frame), frame.image.height, frame.image.width)
         if stage is Stage.RELOCALIZATION:
-            return nothing_moves
+            return Motion.none(len(frame), frame.image.height, frame.image.width)
         known = semantics.result()
         if self._asked is None or self._asked.image is not frame.image:
             self._view, self.findings = view_of(frame.image), None
@@ -125,8 +126,7 @@ class CompensatedHomographySieve:
         motion = self._verdict(frame, known)
         if stage is Stage.LOCAL_MAP:
             self._remember(frame, T_cam_world)
-        stay = int(np.count_nonzero(motion.is_static[matches.keypoint]))
-        return nothing_moves if stay < self.config.min_matches <= len(matches) else motion
+        return or_less(motion, frame, known, matches, self.config.min_matches)
 
     def examine(self, frame: Frame, known: Semantics, view: View, T_cam_world: F64) -> Findings | None:
         """Return what the geometry says; None where there is nothing to compare with, or it cannot be compared."""

@@ -9,8 +9,10 @@ from map_checks import check_links, check_same, contents
 from ring_map import Ring, ring
 from small_world import CAMERA
 
+from stillroom.errors import ConfigError
 from stillroom.geometry import se3
 from stillroom.loops.loop_closer import LoopCloser, LoopsConfig, NoLoops
+from stillroom.loops.recognition.detection import DetectionConfig
 from stillroom.loops.recognition.verification import Loop
 
 
@@ -114,6 +116,20 @@ def test_a_wrong_loop_is_undone_to_the_last_bit(keyframe: int, candidate: int) -
     check_same(made.map, before)
     assert len(closer.refused) == 1
     assert not closer.closed
+
+
+@pytest.mark.parametrize(
+    ("config", "named"),
+    [
+        (LoopsConfig(max_lost_share=1.5), "loops.max_lost_share is 1.5"),
+        (LoopsConfig(min_kept_share=-0.1), "loops.min_kept_share is -0.1"),
+        (LoopsConfig(detection=DetectionConfig(consistent_keyframes=0)), "loops.detection.consistent_keyframes is 0"),
+    ],
+)
+def test_impossible_values_are_named(config: LoopsConfig, named: str) -> None:
+    made = ring(n=4, laps=0.05)
+    with pytest.raises(ConfigError, match=named):
+        config.build(CAMERA, made.map, made.places)
 
 
 def test_switched_off_nothing_is_closed() -> None:

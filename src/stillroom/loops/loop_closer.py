@@ -8,6 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from stillroom.data.map import Map
+from stillroom.errors import ConfigError
 from stillroom.features.places.place_memory import PlaceMemory
 from stillroom.geometry import se3
 from stillroom.geometry.camera import Camera
@@ -77,7 +78,17 @@ class LoopsConfig:
             places: Knows its keyframes by their looks.
             seed: Where every random choice starts.
             after: Called when the map has been corrected: what must follow the keyframes to where they are now.
+
+        Raises:
+            ConfigError: A value is impossible.
         """
+        shares = {name: getattr(self, name) for name in ("max_lost_share", "max_lost_share_of_one", "min_kept_share")}
+        for name, share in shares.items():
+            if not 0.0 <= share <= 1.0:
+                raise ConfigError(f"loops.{name} is {share}; it must be a share, from 0 to 1")
+        if self.detection.consistent_keyframes < 1:
+            found = self.detection.consistent_keyframes
+            raise ConfigError(f"loops.detection.consistent_keyframes is {found}; it must be at least 1")
         return LoopCloser(self, camera, world, places, seed, after) if self.enabled else NoLoops()
 
 

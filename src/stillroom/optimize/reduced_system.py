@@ -14,7 +14,7 @@ from scipy.sparse.linalg import splu
 from stillroom.geometry.arrays import F64, I32, I64
 from stillroom.optimize.bundle_kernels import DIAGONAL_FLOOR, reduce_to_cameras
 
-SPARSE_FROM = 300
+SPARSE_FROM = 120
 """Free keyframes from which on most pairs share no point: a dense factorisation would mostly work on zeros."""
 
 

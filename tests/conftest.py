@@ -50,7 +50,19 @@ def deeplab() -> Path:
     return _required("STILLROOM_MODELS", "models", "deeplabv3_mobilenetv2_voc.onnx")
 
 
-REAL_FIXTURES = {"bonn", "freiburg1", "yolo_weights", "deeplab"}
+@pytest.fixture(scope="session")
+def mobilenet_backbone() -> Path:
+    """That network's backbone, an .npz file."""
+    return _required("STILLROOM_MODELS", "models", "mobilenetv2_voc_backbone.npz")
+
+
+@pytest.fixture(scope="session")
+def person_masks() -> Path:
+    """370 pictures of people with pixel masks."""
+    return _required("STILLROOM_DATA", "data", "person_masks")
+
+
+REAL_FIXTURES = {"bonn", "freiburg1", "yolo_weights", "deeplab", "mobilenet_backbone", "person_masks"}
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from stillroom.datasets.open import open_dataset
-from stillroom.download import MODELS, OFFICIAL, Addresses, download, fetch
+from stillroom.download import MODELS, OFFICIAL, Addresses, download, download_pspnet_r50, fetch, targets
 from stillroom.errors import DownloadError
 from stillroom.testing.tiny_sequence import write_tiny_sequence
 
@@ -350,3 +350,29 @@ def test_the_known_checksums_are_those_of_the_real_files(yolo_weights: Path) -> 
 def test_the_official_addresses_are_secure() -> None:
     for address in (OFFICIAL.tum, OFFICIAL.bonn, *OFFICIAL.yolo_fastest, *OFFICIAL.coco_names):
         assert address.startswith("https://")
+
+
+def test_the_checkpoint_of_pspnet_must_be_the_one_that_is_meant(server: Server, tmp_path: Path) -> None:
+    name = "pspnet_r50-d8_512x512_20k_voc12aug_20200617_101958-ed5dfbd9.pth"
+    assert OFFICIAL.pspnet_r50 == (
+        "https://download.openmmlab.com/mmsegmentation/v0.5/pspnet/pspnet_r50-d8_512x512_20k_voc12aug"
+    )
+    server.files[f"/mm/{name}"] = CONTENT
+    with pytest.raises(DownloadError, match="is not the file that was meant"):
+        download_pspnet_r50(tmp_path, addresses=Addresses(pspnet_r50=f"{server.address}/mm"))
+    assert list(tmp_path.iterdir()) == []
+    assert server.asked[-1][0] == f"/mm/{name}"
+
+
+def test_the_right_checkpoint_of_pspnet_is_kept(
+    server: Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    server.files[f"/mm/{targets.PSPNET_R50}"] = CONTENT
+    monkeypatch.setattr(targets, "PSPNET_R50_MD5", hashlib.md5(CONTENT).hexdigest())
+    monkeypatch.setattr(targets, "PSPNET_R50_SHA256_BEGINS", SHA256[:8])
+    place = download_pspnet_r50(tmp_path, addresses=Addresses(pspnet_r50=f"{server.address}/mm"))
+    assert place.read_bytes() == CONTENT
+    monkeypatch.setattr(targets, "PSPNET_R50_SHA256_BEGINS", "00000000")
+    place.unlink()
+    with pytest.raises(DownloadError, match="is not the file that was meant"):
+        download_pspnet_r50(tmp_path, addresses=Addresses(pspnet_r50=f"{server.address}/mm"))

@@ -12,6 +12,8 @@ from stillroom.cli.output.tables import print_lines
 from stillroom.data.locations import data_home, models_home
 from stillroom.download import OFFICIAL
 from stillroom.download import download as fetch_target
+from stillroom.download import download_pspnet_r50 as fetch_pspnet_r50
+from stillroom.errors import ConfigError
 
 INTERRUPTED = 130
 
@@ -26,6 +28,10 @@ def download(
             help="Where to put it; otherwise STILLROOM_DATA or STILLROOM_MODELS, or the cache.",
         ),
     ] = None,
+    pspnet_r50: Annotated[
+        bool,
+        typer.Option("--pspnet-r50", help="With 'models': OpenMMLab's PSPNet on ResNet-50, too, to train from."),
+    ] = False,
 ) -> None:
     """Fetch a data set or the weights of YOLO-Fastest.
 
@@ -34,18 +40,22 @@ def download(
     Names are those of the data sets, with or without their prefix:
 
         stillroom download models
+        stillroom download models --pspnet-r50
         stillroom download bonn/crowd
         stillroom download tum/freiburg3_walking_xyz
     """
     models = target == "models"
+    if pspnet_r50 and not models:
+        raise ConfigError(f"--pspnet-r50 goes with 'stillroom download models', not with '{target}'")
     folder = to if to is not None else models_home() if models else data_home()
     try:
         with _Bars(STDERR) as bars:
             place = fetch_target(target, folder, bars, OFFICIAL)
+            checkpoint = fetch_pspnet_r50(folder, bars, OFFICIAL) if pspnet_r50 else None
     except KeyboardInterrupt:
         say("stopped; what has come is kept, the same command goes on from there")
         raise typer.Exit(INTERRUPTED) from None
-    print_lines([str(place)])
+    print_lines([str(path) for path in (place, checkpoint) if path is not None])
     if not models:
         say(f"next: stillroom run {place} --method oc-slam")
 

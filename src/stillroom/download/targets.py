@@ -1,5 +1,6 @@
 """What `stillroom download` knows by name, and where it comes from."""
 
+import hashlib
 import re
 import shutil
 import tarfile
@@ -9,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from stillroom.datasets.archive import BrokenArchiveError, unpack
-from stillroom.download.fetch import AbsentError, Progress, fetch, no_progress
+from stillroom.download.fetch import AbsentError, Progress, fetch, no_progress, sha256_of
 from stillroom.errors import DatasetError, DownloadError
 
 
@@ -22,6 +23,7 @@ class Addresses:
         bonn: The folder with `<name>.zip`.
         yolo_fastest: Folders with YOLO-Fastest's cfg and weights, tried in this order.
         coco_names: Files with the 80 COCO class names, tried in this order.
+        pspnet_r50: The folder with OpenMMLab's checkpoint of PSPNet on ResNet-50.
     """
 
     tum: str = "https://cvg.cit.tum.de/rgbd/dataset"
@@ -35,6 +37,7 @@ class Addresses:
         "https://raw.githubusercontent.com/pjreddie/darknet/master/data/coco.names",
         "https://raw.githubusercontent.com/dog-qiuqiu/Yolo-Fastest/master/data/coco.names",
     )
+    pspnet_r50: str = "https://download.openmmlab.com/mmsegmentation/v0.5/pspnet/pspnet_r50-d8_512x512_20k_voc12aug"
 
 
 OFFICIAL = Addresses()
@@ -49,6 +52,11 @@ MODELS: dict[str, str] = {
     "yolo-fastest-1.1-xl.weights": "fac5fb41786c1f38f04972a658443b189f48720d7d117f9a044100e98a35b0c5",
 }
 """YOLO-Fastest 1.1 (github.com/dog-qiuqiu/Yolo-Fastest, "YOLO licence v2"): SHA-256 of each file."""
+
+PSPNET_R50 = "pspnet_r50-d8_512x512_20k_voc12aug_20200617_101958-ed5dfbd9.pth"
+"""PSPNet on ResNet-50 v1c by OpenMMLab (Apache-2.0), trained on VOC2012-aug: what PSPNet-SLAM starts from."""
+PSPNET_R50_MD5 = "c563f7683bab2a869fe095a9eb801f6c"
+PSPNET_R50_SHA256_BEGINS = "ed5dfbd9"
 
 TUM_NAME = re.compile(r"(?:rgbd_dataset_)?(?:freiburg|fr)([123])_(\w+)", re.ASCII)
 BONN_NAME = re.compile(r"(?:rgbd_bonn_)?(\w+)", re.ASCII)
@@ -79,6 +87,28 @@ def download(target: str, folder: Path, progress: Progress = no_progress, addres
     if kind == "bonn" and (bonn := BONN_NAME.fullmatch(name)):
         return _download_bonn(f"rgbd_bonn_{bonn[1]}", folder, progress, addresses)
     raise DownloadError(f"'{target}': nothing of this name can be downloaded; known: {KNOWN}")
+
+
+def download_pspnet_r50(folder: Path, progress: Progress = no_progress, addresses: Addresses = OFFICIAL) -> Path:
+    """Fetch OpenMMLab's checkpoint of PSPNet on ResNet-50, for `stillroom train pspnet --backbone resnet50`.
+
+    Args:
+        folder: Where to put it.
+        progress: Told how far it has come.
+        addresses: Where to fetch from.
+
+    Raises:
+        DownloadError: It cannot be fetched, or is not what it should be.
+    """
+    destination = folder / PSPNET_R50
+    return fetch(f"{addresses.pspnet_r50}/{PSPNET_R50}", destination, progress, is_plausible=_is_pspnet_r50)
+
+
+def _is_pspnet_r50(path: Path) -> bool:
+    """Tell whether a file has the checksum that is known, and the digits of the other that its name has."""
+    with path.open("rb") as file:
+        md5 = hashlib.file_digest(file, lambda: hashlib.md5(usedforsecurity=False)).hexdigest()
+    return md5 == PSPNET_R50_MD5 and sha256_of(path).startswith(PSPNET_R50_SHA256_BEGINS)
 
 
 def _download_models(folder: Path, progress: Progress, addresses: Addresses) -> Path:

@@ -1,6 +1,7 @@
 """A network that learns: one step at a time, stored and resumed without a trace."""
 
 import math
+import pickle
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -54,12 +55,19 @@ class Learner:
         self._optimizer = self._torch.optim.Adam(groups, lr=recipe.rate, weight_decay=recipe.weight_decay)
         self._remember()
 
-    def begin_with(self, weights: Mapping[str, F32]) -> None:
-        """Take over weights; those that are not named stay as they are."""
+    def begin_with(self, weights: Mapping[str, F32], start: Mapping[str, F32] | None = None) -> None:
+        """Take over weights; those that are not named stay as they are.
+
+        Args:
+            weights: By name.
+            start: What counts as the start, where these come from an earlier run; otherwise they do.
+        """
         state = self.network.state_dict()
         state.update({name: self._torch.from_numpy(value.copy()) for name, value in weights.items()})
         self.network.load_state_dict(state)
         self._remember()
+        for name, value in (start or {}).items():
+            self._start[name] = self._torch.from_numpy(value.copy()).to(self._device)
 
     def in_parallel(self) -> None:
         """Share gradients with the other processes from now on."""
@@ -96,13 +104,18 @@ class Learner:
         return recipe.rate * rise * max(fall, LOWEST)
 
     def result(self) -> dict[str, F32]:
-        """Return the weights that are told as the result: the running mean, or the latest where none is kept."""
-        return arrays(self.network) | {name: value.cpu().numpy().copy() for name, value in self._mean.items()}
+        """Return the weights that are told as the result: the running mean, if kept, drawn back to the start."""
+        latest = {name: value.detach() for name, value in self.network.named_parameters()} | self._mean
+        stay = 0.0 if any(conv.norm for conv in self.architecture.convolutions) else self.recipe.stay
+        return arrays(self.network) | {
+            name: value.lerp(self._start[name], stay).cpu().numpy().copy() for name, value in latest.items()
+        }
 
     def store(self, path: Path) -> None:
         """Write everything that going on needs; a file of this name is replaced only by a whole one."""
         state = {
             "state_dict": self.network.state_dict(), "mean": self._mean, "start": self._start, "step": self.step,
+            "result": {name: self._torch.from_numpy(value) for name, value in self.result().items()},
             "optimizer": self._optimizer.state_dict(), "architecture": self.architecture.name, "seed": self._seed,
         }  # fmt: skip
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -118,7 +131,7 @@ class Learner:
         """
         try:
             state = self._torch.load(path, map_location=self._device, weights_only=True)
-        except (OSError, RuntimeError) as error:
+        except (OSError, RuntimeError, EOFError, pickle.UnpicklingError) as error:
             raise WeightsError(f"{path}: cannot be resumed from ({str(error).splitlines()[0]})") from error
         if state.get("architecture") != self.architecture.name:
             raise WeightsError(f"{path}: is of {state.get('architecture')}, not of {self.architecture.name}")

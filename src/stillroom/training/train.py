@@ -53,11 +53,24 @@ class Plan:
     look_px: int = 640
 
 
+@dataclass(frozen=True, eq=False)
+class Weights:
+    """Weights to start from.
+
+    Attributes:
+        now: By name; what is not named is random.
+        start: Where an earlier run began whose weights these are; None where they are the start themselves.
+    """
+
+    now: Mapping[str, F32]
+    start: Mapping[str, F32] | None = None
+
+
 Told = Callable[[Mapping[str, Any]], None]
 """Gets each line of the log."""
 
 
-def train(plan: Plan, examples: list[Example], start: Mapping[str, F32], told: Told) -> None:
+def train(plan: Plan, examples: list[Example], weights: Weights, told: Told) -> None:
     """Train a network, going on where a checkpoint lies in the folder; write its ONNX file at the end.
 
     Under torchrun each process learns from batches of its own, and the first one writes.
@@ -65,7 +78,7 @@ def train(plan: Plan, examples: list[Example], start: Mapping[str, F32], told: T
     Args:
         plan: What is trained.
         examples: What it learns from.
-        start: Weights to start from, by name.
+        weights: To start from.
         told: Gets each line of the log.
 
     Raises:
@@ -79,7 +92,7 @@ def train(plan: Plan, examples: list[Example], start: Mapping[str, F32], told: T
     people = sum(example.kind == PEOPLE for example in examples)
     device = f"cuda:{os.environ.get('LOCAL_RANK', '0')}" if plan.device == "cuda" else plan.device
     learner = Learner(network, plan.recipe, people // (plan.recipe.batch * processes), plan.seed, device)
-    learner.begin_with(start)
+    learner.begin_with(weights.now, weights.start)
     checkpoint = plan.out / CHECKPOINT
     if checkpoint.exists():
         learner.resume(checkpoint)

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,10 +11,10 @@ import typer
 from stillroom.cli.arguments import Settings
 
 if TYPE_CHECKING:
-    from stillroom.geometry.arrays import F32
     from stillroom.training.networks.steps import Architecture
     from stillroom.training.pictures.example import Example
     from stillroom.training.pictures.gather import Sources
+    from stillroom.training.train import Weights
 
 PEOPLE = "person_masks"
 TEACHER, BACKBONE = "deeplabv3_mobilenetv2_voc.onnx", "mobilenetv2_voc_backbone.npz"
@@ -92,26 +93,32 @@ def train_pspnet(
     show_log()
     network = architecture(backbone)
     chosen = with_overrides(preset(recipe), settings or ())
+    if str(start) == SCRATCH:
+        chosen = replace(chosen, stay=0.0, anchor=0.0)  # random weights are nothing to stay with
     chosen.check()
     processes = int(os.environ.get("WORLD_SIZE", "1"))
     torch_or_error().set_num_threads(threads or max((os.cpu_count() or 1) // processes, 1))
     home = people or _sequence(PEOPLE)
-    weights = _start(start, network)
+    teacher_file = teacher or _model(TEACHER)
+    weights = _start(start, network, teacher_file)
     sources = Sources(home, tuple(rooms or ()), domain, _frames(domain_frames), every)
-    examples = _examples(sources, teacher or _model(TEACHER))
+    examples = _examples(sources, teacher_file)
     plan = Plan(out, home, backbone, chosen, seed, device, look_every=look_every)
     train(plan, examples, weights, _line)
 
 
-def _start(start: Path | None, network: "Architecture") -> "dict[str, F32]":
+def _start(start: Path | None, network: "Architecture", teacher: Path) -> "Weights":
     """Return the weights to start from."""
     from stillroom.errors import WeightsError
     from stillroom.training.networks.starts import backbone_weights, checkpoint_weights, deeplab_head
+    from stillroom.training.train import Weights
 
+    if start is not None and str(start) == SCRATCH:
+        return Weights({})
     if start is not None:
-        return {} if str(start) == SCRATCH else checkpoint_weights(start, network)
+        return Weights(checkpoint_weights(start, network, "mean"), checkpoint_weights(start, network, "start"))
     if network.name == "mobilenetv2":
-        return backbone_weights(_model(BACKBONE), network) | deeplab_head(_model(TEACHER), network)
+        return Weights(backbone_weights(_model(BACKBONE), network) | deeplab_head(teacher, network))
     raise WeightsError(
         f"{network.name} starts from a checkpoint: 'stillroom download models --pspnet-r50', then --from FILE; "
         f"or --from {SCRATCH}"

@@ -26,6 +26,7 @@ class Graph:
         self._helper, self._numpy, self._types = onnx.helper, onnx.numpy_helper, onnx.TensorProto
         self._half = half
         self._count = 0
+        self._known: set[str] = set()
         self.nodes: list[Any] = []
         self.weights: list[Any] = []
 
@@ -36,7 +37,10 @@ class Graph:
         return name
 
     def weight(self, name: str, values: F32) -> str:
-        """Add weights; return the name under which nodes read them."""
+        """Add weights, once; return the name under which nodes read them."""
+        if name in self._known:
+            return name
+        self._known.add(name)
         if not self._half:
             self.weights.append(self._numpy.from_array(np.asarray(values, dtype=np.float32), name))
             return name

@@ -9,6 +9,7 @@ import numpy as np
 from stillroom.errors import WeightsError
 from stillroom.geometry.arrays import F32
 from stillroom.training.export.graph import Graph
+from stillroom.training.export.slim import slim
 from stillroom.training.networks.steps import (
     AUXILIARY,
     IMAGE,
@@ -51,6 +52,7 @@ def onnx_model(
     absent = [name for name in network.shapes(auxiliary=False) if name not in weights]
     if absent:
         raise WeightsError(f"the network's weights lack '{absent[0]}'")
+    network, weights = slim(network, weights)
     graph = Graph(half)
     names = {IMAGE: IMAGE}
     for step in network.steps:

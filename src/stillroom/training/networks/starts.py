@@ -40,10 +40,11 @@ def deeplab_head(path: Path, network: Architecture) -> dict[str, F32]:
         WeightsError: The file is no such network.
     """
     import onnx
+    from google.protobuf.message import DecodeError  # type: ignore[import-untyped]
 
     try:
         model = onnx.load(str(path))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, DecodeError) as error:
         raise WeightsError(f"{path}: cannot be read as an ONNX file ({error})") from error
     stored = {tensor.name: onnx.numpy_helper.to_array(tensor) for tensor in model.graph.initializer}
     found: dict[str, F32] = {}
@@ -62,8 +63,14 @@ def deeplab_head(path: Path, network: Architecture) -> dict[str, F32]:
     return _fitting(found, {name: shapes[name] for name in found}, path)
 
 
-def checkpoint_weights(path: Path, network: Architecture) -> dict[str, F32]:
+def checkpoint_weights(path: Path, network: Architecture, part: str = "result") -> dict[str, F32]:
     """Return the weights in a checkpoint of OpenMMLab's or of ours, read without running what a pickle may contain.
+
+    Args:
+        path: The file.
+        network: Whose weights they should be.
+        part: Of our own: "result", what is told as the result; "mean", what learning has come to; "start", where it
+            began. Others have one set of weights, which is returned for any part.
 
     Raises:
         MissingExtraError: torch is not installed.
@@ -75,10 +82,10 @@ def checkpoint_weights(path: Path, network: Architecture) -> dict[str, F32]:
     except (OSError, RuntimeError, pickle.UnpicklingError, EOFError) as error:
         reason = str(error).strip().splitlines()[0]
         raise WeightsError(f"{path}: cannot be read as a checkpoint of weights alone ({reason})") from error
-    return named_weights(stored, network, path)
+    return named_weights(stored, network, path, part)
 
 
-def named_weights(stored: Any, network: Architecture, source: Path) -> dict[str, F32]:
+def named_weights(stored: Any, network: Architecture, source: Path, part: str = "result") -> dict[str, F32]:
     """Return the weights of a checkpoint's mapping under the network's names.
 
     Weights lie at the top or under "state_dict", and may bear the prefix "module." of parallel training. Counters of
@@ -95,8 +102,8 @@ def named_weights(stored: Any, network: Architecture, source: Path) -> dict[str,
         for name, value in inner.items()
         if hasattr(value, "detach") and not str(name).endswith("num_batches_tracked")
     }
-    if isinstance(mean := stored.get("mean"), Mapping):  # ours: what is told as the result
-        found |= {str(name): np.asarray(value.detach().cpu().float().numpy()) for name, value in mean.items()}
+    if isinstance(own := stored.get(part), Mapping):
+        found |= {str(name): np.asarray(value.detach().cpu().float().numpy()) for name, value in own.items()}
     has_auxiliary = any(name.startswith(AUXILIARY) for name in found)
     return _fitting(found, network.shapes(has_auxiliary), source)
 

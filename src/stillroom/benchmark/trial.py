@@ -1,6 +1,6 @@
 """One run of a method on a sequence, kept for its figures only."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
@@ -15,8 +15,9 @@ from stillroom.evaluation.report import Evaluation
 from stillroom.evaluation.report_text import percent
 from stillroom.evaluation.timing import StageClock
 from stillroom.pipeline import SILENT, Progress, RunOptions, run
-from stillroom.protocols import Dataset, Segmenter
+from stillroom.protocols import Dataset, RunObserver, Segmenter
 from stillroom.semantics.detector_off import FrameRange, WithheldSegmenter
+from stillroom.system import Slam
 
 
 @dataclass(frozen=True)
@@ -126,6 +127,7 @@ def attempt(
     seed: int,
     progress: Progress = SILENT,
     withheld: tuple[FrameRange, ...] = (),
+    observe: Callable[[Slam], RunObserver] | None = None,
 ) -> Trial:
     """Run a method over a sequence from a seed, and write nothing.
 
@@ -136,6 +138,7 @@ def attempt(
         progress: Told of each frame.
         withheld: Ranges of image numbers in which the method is told of nothing that may move; boxes that would be
             carried on there are withheld too.
+        observe: Makes somebody who looks on, of the system that is run.
 
     Raises:
         KeyboardInterrupt: The user stopped it: half a run has no figures to compare.
@@ -143,7 +146,7 @@ def attempt(
     """
     segmenter = config.semantics.build()
     noting = NotingSegmenter(WithheldSegmenter(segmenter, withheld) if withheld else segmenter)
-    options = RunOptions(root=None, pictures=0, segmenter=noting)
+    options = RunOptions(root=None, pictures=0, segmenter=noting, observe=observe)
     outcome = run(dataset, replace(config, seed=seed), options, progress)
     if outcome.interrupted:
         raise KeyboardInterrupt

@@ -177,9 +177,10 @@ def test_first_node_near_is_the_first_along_the_path() -> None:
 def test_the_hull_and_what_lies_beside_it_are_opencvs(seed: int) -> None:
     rng = np.random.default_rng(seed)
     points = rng.uniform(0, 300, (80, 2)).round(1)
+    points = points[np.lexsort(points.T[::-1])]
     member = rng.random(80) < 0.2
     hull = np.empty((81, 2))
-    n = convex_hull(points, np.lexsort(points.T[::-1]), member, hull)
+    n = convex_hull(points, member, hull)
     expected = cv2.convexHull(points[member].astype(np.float32))[:, 0].astype(float)
     assert sorted(map(tuple, hull[:n].round(3).tolist())) == sorted(map(tuple, expected.round(3).tolist()))
     near = np.empty(80, dtype=bool)
@@ -199,9 +200,9 @@ def test_the_hull_and_what_lies_beside_it_are_opencvs(seed: int) -> None:
     ],
 )
 def test_hulls_without_an_area(members: list, corners: int) -> None:
-    points = np.array([*members, [100.0, 100.0]])
+    points = np.array([*sorted(members), [100.0, 100.0]])
     hull, near = np.empty((len(points) + 1, 2)), np.empty(len(points), dtype=bool)
-    n = convex_hull(points, np.lexsort(points.T[::-1]), np.arange(len(points)) < len(members), hull)
+    n = convex_hull(points, np.arange(len(points)) < len(members), hull)
     assert n == corners
     within(points, hull[:n], 1.0, near)
     assert near.tolist() == [True] * len(members) + [False]

@@ -3,10 +3,11 @@
 import typer
 
 from stillroom.cli.bench.dense import ghosts
+from stillroom.cli.bench.geometry import ablation, geometry
 from stillroom.cli.bench.trials import accuracy, parts, rejection, speed
 
 HELP = "Measure accuracy, the worth of rejection, speed, and ghosts."
 
 app = typer.Typer(no_args_is_help=True, help=HELP)
-for command in (accuracy, rejection, parts, speed, ghosts):
+for command in (accuracy, rejection, parts, speed, ghosts, geometry, ablation):
     app.command()(command)

@@ -36,17 +36,17 @@ def within(points_px: F64, hull_px: F64, margin_px: float, is_near: Bool) -> Non
 
 
 @numba.njit(nogil=True, cache=True)
-def convex_hull(points_px: F64, from_left: I64, is_member: Bool, hull_px: F64) -> int:
+def convex_hull(points_px: F64, is_member: Bool, hull_px: F64) -> int:
     """Write the corners of the convex hull of the members (N,) among points (N, 2); return their number.
 
-    Andrew's monotone chain: the lower side from left to right, the upper one back. The points' order `from_left` (N,)
-    is by x, and by y where x is the same.
+    Andrew's monotone chain: the lower side from left to right, the upper one back. The points must be in order: by x,
+    and by y where x is the same.
     """
-    n, m = 0, len(from_left)
+    n, m = 0, len(points_px)
     for side in range(2):
         start = n
         for step in range(m):
-            i = from_left[step] if side == 0 else from_left[m - 1 - step]
+            i = step if side == 0 else m - 1 - step
             if not is_member[i]:
                 continue
             x, y = points_px[i]
@@ -64,10 +64,16 @@ def convex_hull(points_px: F64, from_left: I64, is_member: Bool, hull_px: F64) -
 
 
 @numba.njit(nogil=True, cache=True)
+def from_left(points_px: F64, chosen: I64) -> I64:
+    """Return chosen points (M,) of all (N, 2) ordered by x, and by y where x is the same."""
+    by_y = chosen[np.argsort(points_px[chosen, 1], kind="mergesort")]
+    return by_y[np.argsort(points_px[by_y, 0], kind="mergesort")]
+
+
+@numba.njit(nogil=True, cache=True)
 def widen(
     points_px: F64,
-    order: I64,
-    from_left: I64,
+    rank: I64,
     grow_px: float,
     is_tested: Bool,
     is_dynamic: Bool,
@@ -78,12 +84,11 @@ def widen(
     """Grow all communities as far as what is known leads, and collect what must be tested to lead on.
 
     A community takes up whatever moves in the band around its hull, other communities with all that they have. Points
-    that move and are in none found one, in a given order.
+    that move and are in none found one, those of the lowest rank first.
 
     Args:
         points_px: All points (N, 2).
-        order: The points in the order in which they found communities (N,).
-        from_left: The points from left to right; see `convex_hull`.
+        rank: In which order points found communities (N,).
         grow_px: ΔZ, the width of the band.
         is_tested, is_dynamic: What is known of the points (N,); what is to be tested counts as tested from here on.
         community: Of each point (N,), NONE for most; changes.
@@ -93,83 +98,60 @@ def widen(
     Returns:
         How many points are to be tested.
     """
-    n = len(points_px)
-    is_near, is_member = np.empty(n, dtype=np.bool_), np.empty(n, dtype=np.bool_)
-    hull_px, n_untested = np.empty((n + 1, 2)), 0
-    n_known = community.max() + 1 if n > 0 else 0
+    moving = from_left(points_px, np.flatnonzero(is_dynamic))
+    unknown = np.flatnonzero(~is_tested)
+    moving_px, unknown_px = points_px[moving], points_px[unknown]
+    number = community[moving]
+    is_near, is_wanted = np.empty(len(moving), dtype=np.bool_), np.empty(len(unknown), dtype=np.bool_)
+    hull_px, n_untested = np.empty((len(moving) + 1, 2)), 0
+    n_known = number.max() + 1 if len(moving) > 0 else 0
     n_founded = n_known
-    for step in range(n_known + n):
+    founders = np.argsort(rank[moving], kind="mergesort")
+    for step in range(n_known + len(moving)):
         c = step
-        if step < n_known:
-            if not is_open[c]:
-                continue
-        else:
-            i = order[step - n_known]
-            if not is_dynamic[i] or community[i] != NONE:
+        if step >= n_known:
+            if number[founders[step - n_known]] != NONE:
                 continue
             c = n_founded
             n_founded += 1
-            community[i] = c
-        is_open[c] = False
-        if not _gather(points_px, from_left, grow_px, is_dynamic, community, is_open, c, is_member, is_near, hull_px):
+            number[founders[step - n_known]] = c
+        elif not is_open[c]:
             continue
-        for i in range(n):
-            if is_near[i] and not is_tested[i]:
-                untested[n_untested] = i
-                is_tested[i] = is_open[c] = True
+        is_open[c] = False
+        n_corners = _gather(moving_px, grow_px, number, is_open, c, is_near, hull_px)
+        if n_corners == 0:
+            continue
+        within(unknown_px, hull_px[:n_corners], grow_px, is_wanted)
+        for k in range(len(unknown)):
+            if is_wanted[k] and not is_tested[unknown[k]]:
+                untested[n_untested] = unknown[k]
+                is_tested[unknown[k]] = is_open[c] = True
                 n_untested += 1
+    community[moving] = number
     return n_untested
 
 
 @numba.njit(nogil=True, cache=True)
-def _gather(
-    points_px: F64,
-    from_left: I64,
-    grow_px: float,
-    is_dynamic: Bool,
-    community: I64,
-    is_open: Bool,
-    c: int,
-    is_member: Bool,
-    is_near: Bool,
-    hull_px: F64,
-) -> bool:
-    """Let community `c` take up all known moving points in the band around it, again and again.
+def _gather(points_px: F64, grow_px: float, number: I64, is_open: Bool, c: int, is_near: Bool, hull_px: F64) -> int:
+    """Let community `c` take up all moving points (M, 2) in the band around it, and their communities (M,).
 
-    Writes which points lie in the band in the end. Returns False for one that another has taken up.
+    Returns how many corners its hull has in the end; 0 for one that another has taken up.
     """
-    grew = True
-    while grew:
-        if not _members(community, c, is_member):
-            return False
-        n_corners = convex_hull(points_px, from_left, is_member, hull_px)
+    while True:
+        if not np.any(number == c):
+            return 0
+        n_corners: int = convex_hull(points_px, number == c, hull_px)
         within(points_px, hull_px[:n_corners], grow_px, is_near)
-        grew = _take_up(c, is_near, is_dynamic, community, is_open)
-    return True
-
-
-@numba.njit(nogil=True, cache=True)
-def _members(community: I64, c: int, is_member: Bool) -> bool:
-    """Write which points (N,) are in community `c`; tell whether any is."""
-    any_is = False
-    for i in range(len(community)):
-        is_member[i] = community[i] == c
-        any_is |= is_member[i]
-    return any_is
-
-
-@numba.njit(nogil=True, cache=True)
-def _take_up(c: int, is_near: Bool, is_dynamic: Bool, community: I64, is_open: Bool) -> bool:
-    """Make community `c` of what moves among the near points (N,), and of what is in a community with such a point."""
-    grew = False
-    for i in range(len(community)):
-        other = community[i]
-        if is_near[i] and is_dynamic[i] and other != c:
-            grew = True
-            community[i] = c
-            if other != NONE:
-                is_open[other] = False
-                for k in range(len(community)):
-                    if community[k] == other:
-                        community[k] = c
-    return grew
+        grew = False
+        for i in range(len(number)):
+            other = number[i]
+            if is_near[i] and other != c:
+                grew = True
+                number[i] = c
+                if other != NONE:
+                    is_open[other] = False
+                    for k in range(len(number)):
+                        if number[k] == other:
+                            number[k] = c
+        if not grew:
+            return n_corners

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numba
 import numpy as np
 
-from stillroom.dynamics.ants.communities import NONE, convex_hull, widen
+from stillroom.dynamics.ants.communities import NONE, convex_hull, from_left, widen
 from stillroom.dynamics.ants.path import PathConfig
 from stillroom.dynamics.ants.scent import Scent, ScentConfig
 from stillroom.geometry.arrays import F64, I64, Bool
@@ -123,27 +123,24 @@ def search(points_px: F64, path_px: F64, test: Test, config: ReverseSearchConfig
         is_tested |= smells
     is_dynamic, is_open = np.zeros(n, dtype=np.bool_), np.zeros(n + 1, dtype=np.bool_)
     community, untested = np.full(n, NONE, dtype=np.int64), np.flatnonzero(is_tested)
-    order, wanted = np.argsort(node, kind="stable"), np.empty(n, dtype=np.int64)
-    from_left = np.lexsort((points_px[:, 1], points_px[:, 0]))
+    wanted = np.empty(n, dtype=np.int64)
     while len(untested):
         is_dynamic[untested] = test(untested)
-        n_wanted = widen(points_px, order, from_left, config.grow_px, is_tested, is_dynamic, community, is_open, wanted)
+        n_wanted = widen(points_px, node, config.grow_px, is_tested, is_dynamic, community, is_open, wanted)
         untested = wanted[:n_wanted].copy()
-    hulls, members = _communities(points_px, from_left, community, config.min_community)
+    hulls, members = _communities(points_px, community, config.min_community)
     return Found(is_dynamic, is_tested, path_px, hulls, members)
 
 
-def _communities(points_px: F64, from_left: I64, community: I64, least: int) -> tuple[tuple[F64, ...], tuple[I64, ...]]:
+def _communities(points_px: F64, community: I64, least: int) -> tuple[tuple[F64, ...], tuple[I64, ...]]:
     """Return hulls and members of the communities (N,) that have at least so many points."""
-    grouped = np.flatnonzero(community != NONE)
-    numbers, count = np.unique(community[grouped], return_counts=True)
+    grouped = from_left(points_px, np.flatnonzero(community != NONE))
+    number, hull_px = community[grouped], np.empty((len(grouped) + 1, 2))
     hulls, members = [], []
-    hull_px = np.empty((len(points_px) + 1, 2))
-    for number in numbers[count >= least]:
-        is_member = community == number
-        n_corners = convex_hull(points_px, from_left, is_member, hull_px)
+    for c in np.flatnonzero(np.bincount(number) >= least) if len(grouped) else ():
+        n_corners = convex_hull(points_px[grouped], number == c, hull_px)
         hulls.append(hull_px[:n_corners].copy())
-        members.append(np.flatnonzero(is_member))
+        members.append(np.sort(grouped[number == c]))
     return tuple(hulls), tuple(members)
 
 

@@ -1,6 +1,8 @@
 """The dynamic test of one point: is it where a static one would be?"""
 
 from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
 
 import numba
 import numpy as np
@@ -103,9 +105,13 @@ class PointTest:
         return moves
 
     def _run(self, which: I64, verdicts: I64, residual_px: F64) -> None:
+        judge_points(which, *self._given, verdicts, residual_px)
+
+    @cached_property
+    def _given(self) -> tuple[Any, ...]:
+        """What the kernel is given with each question."""
         c, camera = self.config, self.camera
-        judge_points(
-            which,
+        return (
             (self.now.half, self.now.quarter, self.then.half, self.then.quarter, self.then.depth_m),
             (self.raw_px, self.px, self.depth_m),
             (self.T_then_now, self.H_then_now),
@@ -113,8 +119,6 @@ class PointTest:
             np.array([c.threshold_px, c.tolerance_m, c.tolerance_share, c.min_likeness, c.max_unlikeness, c.nearest_m]),
             c.use_depth,
             c.iterations,
-            verdicts,
-            residual_px,
         )
 
 

@@ -1,0 +1,168 @@
+"""Looks on at a run and puts its images to the two geometries: DynaSLAM's and PSPNet-SLAM's."""
+
+from collections import deque
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from stillroom.data.image import RgbdImage
+from stillroom.data.matches import Matches
+from stillroom.data.motion import Stage
+from stillroom.data.result import FrameResult, Tracked
+from stillroom.data.semantics import Semantics, nothing
+from stillroom.dynamics.ants.comparison import PointSet, SearchComparison, compare
+from stillroom.dynamics.ants.path import PATHS
+from stillroom.dynamics.ants.search import Found, ReverseSearch, ReverseSearchConfig
+from stillroom.dynamics.homography.sieve import CompensatedHomographyConfig, Findings
+from stillroom.dynamics.multiview.geometry import DYNAMIC, Geometry, GeometryConfig, Question
+from stillroom.geometry import se3
+from stillroom.geometry.arrays import I64, Bool
+from stillroom.schedule import Done
+from stillroom.system import Slam
+
+HOMOGRAPHY, MULTI_VIEW = "compensated homography", "multi-view depth"
+"""The tests of a point: PSPNet-SLAM's, and DynaSLAM's."""
+TESTS = HOMOGRAPHY, MULTI_VIEW
+SERPENTINE, ANTS = PATHS
+EXHAUSTIVE = "exhaustive"
+KEPT_IMAGES = 40
+MOST_MOVING = 0.5
+
+
+@dataclass(frozen=True)
+class GeometryTrialConfig:
+    """What is asked of each image.
+
+    Attributes:
+        network: Whether what the run's network masks is left out; without, the geometry is on its own, and the people
+            are its to find.
+        homography: PSPNet-SLAM's test and search.
+        multi_view: DynaSLAM's test, on keypoints of keyframes alone, as its paper has it.
+        repeats: How often each way is timed; the fastest counts.
+        picture_of: Number of the image to draw; None for one in which much moves.
+    """
+
+    network: bool = False
+    homography: CompensatedHomographyConfig = field(default_factory=CompensatedHomographyConfig)
+    multi_view: GeometryConfig = field(default_factory=GeometryConfig)
+    repeats: int = 3
+    picture_of: int | None = None
+
+    def build(self, slam: Slam, seed: int) -> "GeometryOnlooker":
+        """Return who looks on at a system's run."""
+        return GeometryOnlooker(self, slam, seed)
+
+
+@dataclass(frozen=True)
+class Shown:
+    """All that a picture of an image's geometry needs.
+
+    Attributes:
+        image, earlier: The image, and the one that it was compared with.
+        findings: What the test said of every point.
+        found: What the ants found of it.
+        ants: Their search.
+        mask: What the network masked (H, W); None without a network.
+    """
+
+    image: RgbdImage
+    earlier: RgbdImage
+    findings: Findings
+    found: Found
+    ants: ReverseSearchConfig
+    mask: Bool | None
+
+
+class GeometryOnlooker:
+    """Times both tests on each tracked image; at the tracked pose, so that neither depends on the run's own sieve.
+
+    Attributes:
+        comparisons: What came of each image, by test and search.
+        shown: The image to draw: the one that was asked for, else one in which much moves.
+    """
+
+    def __init__(self, config: GeometryTrialConfig, slam: Slam, seed: int) -> None:
+        """Start without a past."""
+        self.config, self._slam, self._seed = config, slam, seed
+        self._sieve = replace(config.homography, search=EXHAUSTIVE).build(seed)
+        keyframes = replace(config.multi_view.keyframes, grid_px=0)
+        self._multi_view = replace(config.multi_view, keyframes=keyframes).build()
+        self._searches = {test: self._new_searches() for test in TESTS}
+        self._images: deque[RgbdImage] = deque(maxlen=KEPT_IMAGES)
+        self._most = 0
+        self.comparisons: dict[tuple[str, str], list[SearchComparison]] = {}
+        self.shown: Shown | None = None
+
+    def on_frame(self, tracked: Tracked, semantics: Semantics, result: FrameResult) -> None:
+        """Compare the ways on an image; one without a pose is left out."""
+        if tracked.T_world_cam is None:
+            return
+        frame, T_cam_world, world = tracked.frame, se3.inverse(tracked.T_world_cam), self._slam.map
+        known = semantics if self.config.network else nothing(frame.image.height, frame.image.width)
+        unmatched = Matches.of(np.full(len(frame), -1, dtype=np.int32))
+        self._images.append(frame.image)
+        self._sieve.judge(Stage.LOCAL_MAP, frame, unmatched, Done(known), T_cam_world, world)
+        findings, question = self._sieve.findings, self._multi_view.question(frame, T_cam_world, world)
+        if findings is not None and question is not None:
+            self._compare(findings, question, known.movable if known.has_any else None)
+        self._multi_view.views.note(frame, T_cam_world, tracked.motion.moving)
+        if result.is_keyframe:
+            self._multi_view.views.settle(world)
+
+    def close(self) -> None:
+        """Nothing is left open."""
+
+    def _compare(self, findings: Findings, question: Question, mask: Bool | None) -> None:
+        self._show(findings, mask)
+        sets = {
+            HOMOGRAPHY: _by_homography(findings, self._multi_view, question, mask),
+            MULTI_VIEW: _by_depth(self._multi_view, question, mask),
+        }
+        for test, points in sets.items():
+            for search, compared in compare(points, self._searches[test], self.config.repeats).items():
+                self.comparisons.setdefault((test, search), []).append(compared)
+
+    def _show(self, findings: Findings, mask: Bool | None) -> None:
+        """Keep the image for the picture, if it is the one, or better than the one before."""
+        n = int(np.count_nonzero(findings.found.is_dynamic))
+        wanted = self.config.picture_of
+        # Where nearly all moves, the test has failed rather than found something.
+        more = self._most < n < MOST_MOVING * len(findings.candidates)
+        better = more if wanted is None else findings.index == wanted
+        earlier = [image for image in self._images if image.depth_m is findings.test.then.depth_m]
+        if not better or not earlier:
+            return
+        self._most = n
+        ants = self._searches[HOMOGRAPHY][ANTS]
+        found = ants.search(findings.test.raw_px, findings.test.is_dynamic, mask)
+        self.shown = Shown(self._images[-1], earlier[0], findings, found, ants.config, mask)
+
+    def _new_searches(self) -> dict[str, ReverseSearch]:
+        config = self.config.homography.ants
+        return {kind: replace(config, path=replace(config.path, kind=kind)).build(self._seed) for kind in PATHS}
+
+
+def _by_homography(findings: Findings, geometry: Geometry, question: Question, mask: Bool | None) -> PointSet:
+    """Return the present keypoints with PSPNet-SLAM's test; regions grow from them as they stand."""
+    px = findings.test.raw_px
+
+    def grow(moves: Bool) -> Bool:
+        return geometry.grow(question, np.rint(px[moves]).astype(np.int32))
+
+    return PointSet(px, findings.test.is_dynamic, grow, mask)
+
+
+def _by_depth(geometry: Geometry, question: Question, mask: Bool | None) -> PointSet:
+    """Return the keyframes' keypoints that are in view, with DynaSLAM's test; regions grow from what stands there."""
+    points = question.in_view
+    if mask is not None:
+        column, row = question.points.px[points].T
+        points = points[~mask[row, column]]
+
+    def test(which: I64) -> Bool:
+        return np.asarray(geometry.test(question, points[which]) == DYNAMIC)
+
+    def grow(moves: Bool) -> Bool:
+        return geometry.grow(question, question.before_px[points[moves]])
+
+    return PointSet(question.points.px[points].astype(np.float64), test, grow, mask)

@@ -1,0 +1,131 @@
+"""`stillroom bench geometry` and `ablation`: what the ants save, and what each part is worth."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from stillroom.benchmark.geometry import ablation as combining
+from stillroom.benchmark.geometry.ablation import Ablated
+from stillroom.benchmark.geometry.onlooker import GeometryTrialConfig
+from stillroom.benchmark.geometry.picture import write_geometry_picture
+from stillroom.benchmark.geometry.table import HEADER, GeometryTable, geometry_table
+from stillroom.benchmark.geometry.truth_onlooker import MovingThings
+from stillroom.cli.arguments import Settings
+from stillroom.cli.bench.session import Bench, Camera, Frames, Out, Runs, Sequences
+from stillroom.cli.output.console import say
+from stillroom.cli.output.tables import print_lines
+from stillroom.config import SlamConfig
+from stillroom.datasets.open import SYNTHETIC, open_dataset
+from stillroom.datasets.synthetic import SyntheticRoom
+from stillroom.errors import ConfigError
+from stillroom.methods.registry import configure
+from stillroom.pipeline import Source
+from stillroom.protocols import Dataset
+from stillroom.warmup import warm_up
+
+
+def geometry(
+    sequences: Sequences,
+    method: Annotated[str, typer.Option(metavar="NAME", help="The preset that tracks the camera.")] = "pspnet-slam",
+    network: Annotated[
+        bool,
+        typer.Option("--network", help="Leave out what the network masks; else the people are geometry's to find."),
+    ] = False,
+    picture: Annotated[
+        Path | None, typer.Option(metavar="PNG", help="Draw the compensation and the ants' path of an image.")
+    ] = None,
+    picture_of: Annotated[
+        int | None, typer.Option(metavar="N", help="Which image to draw; by default one in which much moves.")
+    ] = None,
+    frames: Frames = None,
+    camera: Camera = None,
+    settings: Settings = None,
+    out: Out = None,
+) -> None:
+    """Test every point as DynaSLAM does, and along the ants' path as PSPNet-SLAM does: PSPNet-SLAM's Table 2.
+
+    The same images, poses and points for both; once with PSPNet-SLAM's test of a point, once with DynaSLAM's, with and
+    without growing regions from what was found.
+    """
+    config = configure(method, None, settings or ())
+    trial = GeometryTrialConfig(network=network, homography=combining.homography_of(config), picture_of=picture_of)
+    bench = Bench("geometry", out)
+    for sequence in sequences:
+        dataset = bench.open(Source(sequence, camera, frames=frames))
+        warm_up()  # also when they are compiled: loading them is no cost of the first image
+
+        for table in bench.each({method: config}, _measuring(bench, dataset, trial)):
+            bench.print_table(dataset.name, HEADER, table.rows())
+            print_lines(table.sentences())
+            bench.keep(table.to_dict())
+            if picture is not None and table.shown is not None:
+                write_geometry_picture(picture, table.shown, dataset.camera)
+                print_lines([f"picture: {picture}"])
+            elif picture is not None:
+                say(f"no picture: image {picture_of} was not among those compared")
+    bench.finish()
+
+
+def _measuring(
+    bench: Bench, dataset: Dataset, trial: GeometryTrialConfig
+) -> Callable[[str, SlamConfig], GeometryTable]:
+    def measure(name: str, config: SlamConfig) -> GeometryTable:
+        bench.bar.label = name
+        return geometry_table(dataset, config, trial, bench.bar)
+
+    return measure
+
+
+def ablation(
+    sequences: Sequences,
+    method: Annotated[str, typer.Option(metavar="NAME", help="The preset whose parts are on trial.")] = "pspnet-slam",
+    runs: Runs = 1,
+    only: Annotated[
+        str | None, typer.Option(metavar="A,B", help="Run these rows only, by parts of their names.")
+    ] = None,
+    frames: Frames = None,
+    camera: Camera = None,
+    settings: Settings = None,
+    out: Out = None,
+) -> None:
+    """Compare network only, geometry only, both, both with the ants, and a plain with the compensated homography.
+
+    On rendered sequences it also counts what is found of all that moves, and of what somebody carries or pushes, which
+    no network names.
+    """
+    configs = _chosen(combining.ablation(configure(method, None, settings or ())), only)
+    bench = Bench("ablation", out)
+    for sequence in sequences:
+        dataset = bench.open(Source(sequence, camera, frames=frames))
+        whole = open_dataset(sequence) if sequence.startswith(SYNTHETIC) else None
+        things = MovingThings(whole) if isinstance(whole, SyntheticRoom) else None
+        table = bench.each(configs, _ablating(bench, dataset, runs, things))
+        if table:
+            bench.print_table(dataset.name, combining.HEADER, [one.row() for one in table])
+            print_lines(combining.sentences(table))
+            bench.keep([one.to_dict(table[0]) for one in table])
+    bench.finish()
+
+
+def _ablating(
+    bench: Bench, dataset: Dataset, runs: int, things: MovingThings | None
+) -> Callable[[str, SlamConfig], Ablated]:
+    def measure(name: str, config: SlamConfig) -> Ablated:
+        bench.bar.label = name
+        one = combining.ablated(dataset, name, config, runs, things, bench.bar)
+        say(f"{name} on {dataset.name}: {', '.join(one.row()[1:])}")
+        return one
+
+    return measure
+
+
+def _chosen(configs: dict[str, SlamConfig], only: str | None) -> dict[str, SlamConfig]:
+    if only is None:
+        return configs
+    words = [word.strip() for word in only.split(",")]
+    chosen = {name: config for name, config in configs.items() if any(word in name for word in words)}
+    if not chosen:
+        raise ConfigError(f"--only {only}: no such row; there are {', '.join(configs)}")
+    return chosen

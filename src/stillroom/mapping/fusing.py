@@ -81,6 +81,8 @@ def _join(ids: I32, rows: I32, world: Map) -> None:
     other = world.keypoints.point[rows]
     fresh = other < 0
     world.observe(ids[fresh], rows[fresh])
+    if fresh.all():
+        return
     ids, other = ids[~fresh], other[~fresh]
     weaker = world.points.n_observations[ids] <= world.points.n_observations[other]
     old, new = np.where(weaker, ids, other), np.where(weaker, other, ids)
@@ -88,5 +90,6 @@ def _join(ids: I32, rows: I32, world: Map) -> None:
     _, first = np.unique(old, return_index=True)
     keep = np.zeros(len(old), dtype=np.bool_)
     keep[first] = True
-    keep &= ~np.isin(old, new) & (old != new)
+    # Compared pair by pair: the few there are take less time so than sorting them would.
+    keep &= ~(old[:, None] == new).any(axis=1)
     world.replace_points(old[keep], new[keep])

@@ -20,6 +20,7 @@ from stillroom.dynamics.depth_history import STRIDE, ask
 from stillroom.dynamics.enough import or_less
 from stillroom.dynamics.homography.past import EarlierImage, Past, view_of
 from stillroom.dynamics.homography.point_test import DYNAMIC, STATIC, UNKNOWN, PointTest, PointTestConfig, View
+from stillroom.errors import ConfigError
 from stillroom.geometry import homography, se3
 from stillroom.geometry.arrays import F64, I64, Bool
 from stillroom.protocols import Pending
@@ -75,7 +76,16 @@ class MovedSegmentsConfig:
     test: PointTestConfig = field(default_factory=PointTestConfig)
 
     def build(self, seed: int = 0) -> "MovedSegments":
-        """Return the sieve; nothing in it is drawn by lot."""
+        """Return the sieve; nothing in it is drawn by lot.
+
+        Raises:
+            ConfigError: A value is impossible.
+        """
+        for key, least in (("max_points", 1), ("min_points", 1), ("margin_px", 0)):
+            if getattr(self, key) < least:
+                raise ConfigError(f"{key} is {getattr(self, key)}; it must be {least} or more")
+        if not 0.0 < self.share < 1.0:
+            raise ConfigError(f"share is {self.share}; it must lie between 0 and 1")
         return MovedSegments(self)
 
 

@@ -1,5 +1,6 @@
 """`stillroom inpaint`: images, a video and a contact sheet without people."""
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -28,6 +29,10 @@ def test_people_are_gone_from_images_video_and_sheet(stillroom: Callable, tmp_pa
     errors = [np.mean((image[seen] - nobody.rgb[seen]) ** 2) for image in (painted, people.rgb.astype(float))]
     assert 10 * np.log10(255**2 / errors[0]) > 25
     assert errors[0] < errors[1] / 5
+    # Of all judged frames together, every fifth of the sequence that was given, it says so itself.
+    told_db = float(re.search(r"PSNR ([\d.]+) dB against the room without people", said.out)[1])
+    assert 25 < told_db < 45
+    assert "painted pixels of 2 frames" in said.out  # in the first, nothing had been seen
     video = cv2.VideoCapture(str(out / "inpainted.mp4"))
     assert video.get(cv2.CAP_PROP_FRAME_COUNT) == 15
     assert (out / "inpainting.png").exists()

@@ -50,7 +50,8 @@ def inpaint(
     """Paint what moves out of a sequence, from what the last keyframes saw behind it.
 
     Tracks the camera as 'run' does. Writes inpainted/inpainted_00042.png and so on, a video, and inpainting.png, which
-    shows some frames before and after. What nobody had seen by then stays black.
+    shows some frames before and after. What nobody had seen by then stays black. On rendered people it says how near
+    what was painted comes to the room without them.
 
         stillroom inpaint rgbd_bonn_crowd --frames 200:560
         stillroom inpaint synthetic:walking --set semantics.kind=truth --every 10
@@ -80,7 +81,7 @@ def _paint(chosen: "SlamConfig", source: "Source", wanted: "InpaintingRecorderCo
     made: list[InpaintingRecorder] = []
 
     def observe(slam: "Slam") -> "InpaintingRecorder":
-        made.append(_recorder(wanted, folder, dataset, slam))
+        made.append(_recorder(wanted, folder, dataset, slam, source.sequence))
         return made[0]
 
     options = RunOptions(folder=folder, pictures=0, segmenter=segmenter, observe=observe, source=source)
@@ -95,18 +96,19 @@ def _paint(chosen: "SlamConfig", source: "Source", wanted: "InpaintingRecorderCo
 
 
 def _recorder(
-    wanted: "InpaintingRecorderConfig", folder: Path, dataset: "Dataset", slam: "Slam"
+    wanted: "InpaintingRecorderConfig", folder: Path, dataset: "Dataset", slam: "Slam", sequence: str
 ) -> "InpaintingRecorder":
     """Return a recorder with frames for its sheet from all over the sequence, at the pace of its images."""
     import numpy as np
 
     from stillroom.datasets.selection import original_numbers
+    from stillroom.pipeline.inpainting.truth import painted_error
 
     numbers, stamps_s = original_numbers(dataset), dataset.timestamps_s
     places = (np.arange(wanted.on_sheet) + 0.9) * len(numbers) / max(1, wanted.on_sheet)
     chosen = [int(number) for number in numbers[np.unique(places.astype(np.int64))]]
     pace_hz = 1.0 / float(np.median(np.diff(stamps_s))) if len(stamps_s) > 1 else 30.0
-    return wanted.build(folder, dataset.camera, slam, chosen, pace_hz)
+    return wanted.build(folder, dataset.camera, slam, chosen, pace_hz, painted_error(sequence))
 
 
 def _report(outcome: "RunOutcome", recorder: "InpaintingRecorder") -> None:
@@ -118,5 +120,11 @@ def _report(outcome: "RunOutcome", recorder: "InpaintingRecorder") -> None:
     if outcome.interrupted:
         lines.append(f"stopped after {outcome.n_given} images")
     lines.append("nothing moved" if filled is None else f"{percent(filled)} of what moved could be painted over")
+    error = recorder.error
+    if error is not None and error.psnr_db is not None:
+        lines.append(
+            f"PSNR {error.psnr_db:.1f} dB against the room without people, over the {error.n_pixels} painted pixels of "
+            f"{error.n_frames} frames"
+        )
     lines.append(f"results: {outcome.folder}")
     print_lines(lines)

@@ -13,6 +13,7 @@ from stillroom.dense.inpainting.painter import BackgroundPainter, InpaintingConf
 from stillroom.errors import ConfigError
 from stillroom.geometry.arrays import U8
 from stillroom.geometry.camera import Camera
+from stillroom.pipeline.inpainting.truth import PaintedError
 from stillroom.system import Slam
 from stillroom.viz.film.contact_sheet import contact_sheet
 from stillroom.viz.film.video import VideoFile
@@ -41,7 +42,13 @@ class InpaintingRecorderConfig:
     map_every: int = 0
 
     def build(
-        self, folder: Path, camera: Camera, slam: Slam, sheet_frames: Iterable[int], fps: float
+        self,
+        folder: Path,
+        camera: Camera,
+        slam: Slam,
+        sheet_frames: Iterable[int],
+        fps: float,
+        error: PaintedError | None = None,
     ) -> "InpaintingRecorder":
         """Return a recorder that writes into a folder.
 
@@ -51,6 +58,7 @@ class InpaintingRecorderConfig:
             slam: The system whose run is looked at.
             sheet_frames: Numbers of the frames for the contact sheet.
             fps: Frames per second of the video [1/s].
+            error: Judges what was painted; None where the truth is not known.
 
         Raises:
             ConfigError: A value is impossible.
@@ -59,7 +67,9 @@ class InpaintingRecorderConfig:
             if getattr(self, name) < 0:
                 raise ConfigError(f"{name} is {getattr(self, name)}; it must be 0 (none) or more")
         video = VideoFile(folder / self.video, fps) if self.video else None
-        return InpaintingRecorder(self, folder, self.painting.build(camera), slam, video, frozenset(sheet_frames))
+        return InpaintingRecorder(
+            self, folder, self.painting.build(camera), slam, video, frozenset(sheet_frames), error
+        )
 
 
 @dataclass
@@ -86,9 +96,10 @@ class InpaintingRecorder:
         slam: Slam,
         video: VideoFile | None,
         sheet_frames: frozenset[int],
+        error: PaintedError | None = None,
     ) -> None:
         """Take note; files are made with the first frame."""
-        self.config, self.share, self.n_frames = config, Share(), 0
+        self.config, self.share, self.error, self.n_frames = config, Share(), error, 0
         self._folder, self._painter, self._slam, self._video = folder, painter, slam, video
         self._sheet_frames = sheet_frames
         self._pairs: list[tuple[str, tuple[U8, U8]]] = []
@@ -109,6 +120,8 @@ class InpaintingRecorder:
             n_filled = int(np.count_nonzero(painted.is_filled))
             self.share.n_filled += n_filled
             self.share.n_wanted += n_filled + int(np.count_nonzero(painted.is_hole))
+            if self.error is not None:
+                self.error.add(image.index, rgb, painted.is_filled)
         if result.is_keyframe:
             self._painter.remember(result.reference_keyframe, image, moving)
         self._write(image.index, image.rgb, rgb)

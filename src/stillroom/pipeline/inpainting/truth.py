@@ -1,0 +1,58 @@
+"""How near a painted sequence comes to the same rendered room without people."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from stillroom.datasets.synthetic.config import PREFIX, parse_spec
+from stillroom.geometry.arrays import U8, Bool
+from stillroom.protocols import Dataset
+
+EVERY = 5
+"""Every so many-th frame is judged: the empty room must be rendered for it."""
+ONLY_PEOPLE = ("walking", "standing")
+"""Figures without which the room is the same; what is carried or pushed must be somewhere."""
+BRIGHTEST = 255.0
+
+
+@dataclass
+class PaintedError:
+    """The error of painted pixels, where the background had been seen.
+
+    Attributes:
+        empty: The sequence without people.
+        n_frames, n_pixels: How many were judged.
+        squared: Sum of the squared errors of their red, green and blue.
+    """
+
+    empty: Dataset
+    n_frames: int = 0
+    n_pixels: int = 0
+    squared: float = 0.0
+
+    def add(self, index: int, rgb: U8, is_filled: Bool) -> None:
+        """Judge the painted pixels (H, W) of a painted image (H, W, 3), if it is its turn."""
+        if index % EVERY != 0 or not is_filled.any():
+            return
+        true = self.empty.load(index).rgb
+        self.n_frames += 1
+        self.n_pixels += int(np.count_nonzero(is_filled))
+        self.squared += float(np.sum((rgb[is_filled].astype(np.float64) - true[is_filled]) ** 2))
+
+    @property
+    def psnr_db(self) -> float | None:
+        """Peak signal-to-noise ratio over all of them [dB]; None where nothing was judged, infinite without error."""
+        if self.n_pixels == 0:
+            return None
+        mean = self.squared / (3 * self.n_pixels)
+        return float(10.0 * np.log10(BRIGHTEST**2 / mean)) if mean > 0 else float("inf")
+
+
+def painted_error(sequence: str) -> PaintedError | None:
+    """Return what judges a painted sequence; None where nobody knows what is behind the people."""
+    if sequence.split(":", 1)[0] != PREFIX:
+        return None
+    config = parse_spec(sequence)
+    if config.figures not in ONLY_PEOPLE:
+        return None
+    return PaintedError(replace(config, name="", figures="none").build())

@@ -187,6 +187,13 @@ def test_an_error_in_the_middle_keeps_what_was_committed(room: Dataset, tmp_path
     assert [file.name for file in tmp_path.iterdir()] == ["room.stillmap"]
 
 
+def test_a_run_that_never_began_leaves_no_file(room: Dataset, tmp_path: Path) -> None:
+    impossible = replace(CONFIG, dense=DenseMapperConfig(voxel_m=0.0))
+    with pytest.raises(ConfigError, match="voxel_m"):
+        run(room, impossible, on(tmp_path / "room.stillmap", MapUse.NEW))
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_dense_map_from_the_images_in_the_file(kept: Kept) -> None:
     stored = load_map(kept.path)
     assert count_images(kept.path) == len(stored.world.keyframes)

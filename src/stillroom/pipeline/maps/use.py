@@ -113,6 +113,11 @@ def opened_map(file: MapFile | None, config: SlamConfig, dataset: Dataset) -> It
     try:
         number = writer.begin(_session(world, config, dataset))
         yield OpenedMap(world, config.storage.build(writer, number, dataset.camera), file.path)
+    except BaseException:
+        writer.abandon()
+        if file.use is MapUse.NEW and len(world.keyframes) == 0:
+            file.path.unlink(missing_ok=True)  # Nothing is in it, and its name would be in the way of the next try.
+        raise
     finally:
         writer.abandon()
 

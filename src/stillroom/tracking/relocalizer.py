@@ -72,6 +72,8 @@ class Relocalizer:
         frame, index = tracked.frame, self.places.index
         bag = self.places.bag_of_frame(frame)
         for keyframe in self.places.candidates(bag, at_most=self.config.n_places):
+            if int(keyframe) not in index:
+                continue  # culled by another thread just now
             nodes = index.nodes(int(keyframe))
             found = self._recognizer.recognise(frame, bag, int(keyframe), nodes, world)
             located = None if found is None else self._located(tracked, found, semantics, world, Recovery.PLACE)

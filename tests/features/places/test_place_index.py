@@ -1,5 +1,7 @@
 """The inverted file and the direct index, held to whole vectors of words."""
 
+import threading
+
 import numpy as np
 import pytest
 
@@ -141,3 +143,28 @@ def test_branches_are_matched_as_if_there_were_nothing_else() -> None:
     mine, theirs = match_by_branch(first, nodes1, second, nodes2)
     assert dict(zip(theirs.tolist(), mine.tolist(), strict=True)) == {j: i for j, (i, _) in found.items()}
     assert len(mine) > 20
+
+
+def test_it_can_be_asked_while_another_thread_adds() -> None:
+    rng = np.random.default_rng(3)
+    bags = [random_bag(rng) for _ in range(400)]
+    index = PlaceIndex(N_WORDS)
+    index.add(0, bags[0])
+    seen: list[Resemblance] = []
+
+    def fill() -> None:
+        for keyframe, bag in enumerate(bags):
+            index.add(keyframe, bag)
+            if keyframe % 3 == 1:
+                index.remove(keyframe - 1)
+
+    thread = threading.Thread(target=fill)
+    thread.start()
+    while thread.is_alive():
+        seen.append(index.query(bags[0]))
+    thread.join()
+    for found in seen:
+        expected = plain({k: bags[k] for k in found.keyframes.tolist()}, bags[0])
+        same(found, expected)
+    left = {k: bag for k, bag in enumerate(bags) if k in index}
+    same(index.query(bags[5]), plain(left, bags[5]))

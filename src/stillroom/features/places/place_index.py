@@ -1,6 +1,10 @@
 """Which keyframes say similar things: an inverted file and a direct index, in arrays."""
 
+import threading
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import wraps
+from typing import Concatenate, ParamSpec, TypeVar
 
 import numpy as np
 from numba import njit
@@ -28,6 +32,9 @@ class Resemblance:
         """Number of keyframes."""
         return len(self.keyframes)
 
+
+P = ParamSpec("P")
+T = TypeVar("T")
 
 ENTRIES = 7
 USED, NEXT = 2 * ENTRIES, 2 * ENTRIES + 1
@@ -60,8 +67,22 @@ class _Nodes(Table):
     node = Column(np.int32, fill=-1)
 
 
+def _alone(work: "Callable[Concatenate[PlaceIndex, P], T]") -> "Callable[Concatenate[PlaceIndex, P], T]":
+    """Let a method run on one thread at a time."""
+
+    @wraps(work)
+    def held(index: "PlaceIndex", /, *args: P.args, **kwargs: P.kwargs) -> T:
+        with index._lock:
+            return work(index, *args, **kwargs)
+
+    return held
+
+
 class PlaceIndex:
-    """Keyframes by their words. What a removed one said keeps its place in memory, but costs no time."""
+    """Keyframes by their words. What a removed one said keeps its place in memory, but costs no time.
+
+    It may be asked from one thread while another adds to it.
+    """
 
     def __init__(self, n_words: int) -> None:
         """Start empty, for a vocabulary of so many words."""
@@ -70,6 +91,7 @@ class PlaceIndex:
         self._first_block: I32 = np.full(n_words, -1, dtype=np.int32)
         self._blocks: I32 = np.empty((16384, 2 * ENTRIES + 2), dtype=np.int32)
         self._counts: I64 = np.array([0, -1])
+        self._lock = threading.RLock()
 
     def __len__(self) -> int:
         """Number of keyframes in it."""
@@ -91,6 +113,7 @@ class PlaceIndex:
         in_tables = sum(view.nbytes for table in tables for view in table.views.values())
         return in_tables + int(self._blocks[: self._counts[N_BLOCKS]].nbytes)
 
+    @_alone
     def add(self, keyframe: int, bag: Bag) -> None:
         """Add a keyframe; one that is in already is replaced."""
         self.remove(keyframe)
@@ -105,6 +128,7 @@ class PlaceIndex:
         self._reserve(len(bag))
         enter(keyframe, bag.words, bag.weights.view(np.int32), self._blocks, self._first_block, self._counts)
 
+    @_alone
     def remove(self, keyframe: int) -> None:
         """Take a keyframe out, if it is in."""
         if keyframe not in self:
@@ -112,6 +136,7 @@ class PlaceIndex:
         leave(keyframe, self._said.word[self._rows(keyframe)], self._blocks, self._first_block, self._counts)
         self._members.is_in[keyframe] = False
 
+    @_alone
     def bag(self, keyframe: int) -> Bag:
         """Return what a keyframe that is in says.
 
@@ -123,6 +148,7 @@ class PlaceIndex:
         rows = self._rows(keyframe)
         return Bag(self._said.word[rows].copy(), self._said.weight[rows].copy(), self.nodes(keyframe))
 
+    @_alone
     def nodes(self, keyframe: int) -> I32:
         """Return the branch of each keypoint (N,) of a keyframe that is in; −1 for those that were left out.
 
@@ -134,6 +160,7 @@ class PlaceIndex:
         start = int(self._members.first_node[keyframe])
         return self._nodes.node[start : start + int(self._members.n_nodes[keyframe])].copy()
 
+    @_alone
     def query(self, bag: Bag, allowed: Bool | None = None) -> Resemblance:
         """Find the keyframes that share words with an image.
 

@@ -92,16 +92,21 @@ class Slam:
 
     def online_trajectory(self) -> Trajectory:
         """Return the poses as `process` returned them, of frames that were in the main sub-map at that moment."""
-        main = submaps.main(self.map)
+        main = self.main_submap
         placed = [(r.timestamp_s, r.T_world_cam) for r in self.results if r.T_world_cam is not None if r.submap == main]
         return _trajectory([stamp for stamp, _ in placed], [pose for _, pose in placed])
 
     def keyframe_trajectory(self) -> Trajectory:
         """Return the poses of this run's keyframes in the main sub-map; earlier runs have times of their own."""
         keyframes = self.map.keyframes
-        chosen = np.flatnonzero(keyframes.is_alive & (keyframes.submap == submaps.main(self.map)))
+        chosen = np.flatnonzero(keyframes.is_alive & (keyframes.submap == self.main_submap))
         chosen = chosen[chosen >= self.first_keyframe]
         return _trajectory(list(keyframes.timestamp_s[chosen]), list(keyframes.T_world_cam[chosen]))
+
+    @property
+    def main_submap(self) -> int:
+        """The piece of the map that the trajectories lie in."""
+        return submaps.main(self.map, self.first_keyframe)
 
     def apart(self) -> list[FrameResult]:
         """Return the frames that were tracked in sub-maps that are not joined with the main one."""
@@ -155,7 +160,7 @@ class Slam:
 
     def _in_main(self) -> list[FrameResult]:
         """Return the frames that have a pose in the main sub-map by now."""
-        main, submap = submaps.main(self.map), self.map.keyframes.submap
+        main, submap = self.main_submap, self.map.keyframes.submap
         return [r for r in self.results if r.T_reference_cam is not None and submap[r.reference_keyframe] == main]
 
     def _pose_now(self, result: FrameResult) -> F64:

@@ -62,6 +62,14 @@ def test_the_main_piece_has_most_keyframes_and_of_equals_is_the_oldest() -> None
     assert submaps.main(Map(world.scales)) == 0
 
 
+def test_of_a_map_that_is_gone_on_in_only_the_new_keyframes_count() -> None:
+    world = two_pieces()
+    assert submaps.main(world, since=3) == submaps.main(world, since=7) == 1
+    world.remove_keyframe(6)
+    assert submaps.main(world, since=2) == 1
+    assert submaps.main(world, since=6) == submaps.main(world, since=7) == 0
+
+
 def test_joining_moves_a_piece_rigidly_and_nothing_else() -> None:
     world = two_pieces()
     world.remove_keyframe(5)

@@ -54,7 +54,7 @@ def draw_maps(folder: Path, slam: Slam, cloud: DenseCloud | None, title: str) ->
     Raises:
         StillroomError: A file cannot be written.
     """
-    table, points, main = slam.map.keyframes, slam.map.points, submaps.main(slam.map)
+    table, points, main = slam.map.keyframes, slam.map.points, slam.main_submap
     keyframes = table.T_world_cam[table.is_alive & (table.submap == main)]
     if len(keyframes) == 0:
         return

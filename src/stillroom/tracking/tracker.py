@@ -128,8 +128,9 @@ class Tracker:
             world: The map.
             recovery: How the pose was found.
         """
-        motion = Motion.none(len(frame), frame.image.height, frame.image.width)
-        fix = _Fix(T_cam_world, point_ids, motion, np.zeros(0, dtype=np.int32))
+        matches = Matches.of(point_ids)
+        motion = self.sieve.judge(Stage.RELOCALIZATION, frame, matches, semantics, T_cam_world, world)
+        fix = _Fix(T_cam_world, np.where(motion.is_static, point_ids, np.int32(-1)), motion, np.zeros(0, np.int32))
         tracked = self._with_local_map(frame, fix, self._reference, semantics, world)
         if tracked.n_inliers < self.config.min_inliers_recovered:
             return _lost(frame, tracked.reference_keyframe, tracked.motion)

@@ -32,10 +32,17 @@ def unjoined(world: Map) -> I64:
     return found
 
 
-def main(world: Map) -> int:
-    """Return the sub-map with most keyframes, of equals the oldest: what a run's trajectory lies in."""
-    sizes = np.bincount(world.keyframes.submap[world.keyframes.is_alive], minlength=1)
-    return int(np.argmax(sizes))
+def main(world: Map, since: int = 0) -> int:
+    """Return the sub-map with most keyframes, of equals the oldest: what a run's trajectory lies in.
+
+    Args:
+        world: The map.
+        since: First keyframe of the run that asks; where it made none, those of earlier runs count.
+    """
+    alive = world.keyframes.is_alive.copy()
+    if alive[since:].any():
+        alive[:since] = False
+    return int(np.argmax(np.bincount(world.keyframes.submap[alive], minlength=1)))
 
 
 def of_points(point_ids: Ints, world: Map) -> Ints:

@@ -28,7 +28,7 @@ class ReverseSearchConfig:
     """
 
     path: PathConfig = field(default_factory=PathConfig)
-    radius_px: float = 18.0
+    radius_px: float = 14.0
     grow_px: float = 32.0
     min_community: int = 3
     scent: ScentConfig = field(default_factory=ScentConfig)

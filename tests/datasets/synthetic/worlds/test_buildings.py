@@ -2,7 +2,9 @@
 
 import time
 import tracemalloc
+from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from opened_worlds import scene_of, world
@@ -139,3 +141,23 @@ def test_figures_are_in_truth_and_picture() -> None:
     boxes = [box for index in range(0, 600, 25) for box in (room.load(index).truth or pytest.fail("no truth")).boxes]
     assert len(boxes) >= 10
     assert {box.label for box in boxes} == {"person"}
+
+
+@pytest.mark.parametrize("spec", ["corridor,frames=600", "building,rooms=3,frames=600"])
+def test_a_frame_costs_about_a_unit(spec: str, bonn: Path) -> None:
+    """One unit: ORB with 1000 features on a real frame, same process, thread time."""
+    cv2.setNumThreads(1)
+    gray = cv2.imread(str(sorted((bonn / "rgb").iterdir())[300]), cv2.IMREAD_GRAYSCALE)
+    orb, room = cv2.ORB_create(1000), world(spec)
+    orb.detectAndCompute(gray, None)
+    room.load(0)
+    unit_s, load_s = [], []
+    for index in range(0, len(room), 20):
+        begin = time.thread_time()
+        orb.detectAndCompute(gray, None)
+        middle = time.thread_time()
+        room.load(index)
+        unit_s.append(middle - begin)
+        load_s.append(time.thread_time() - middle)
+    units = float(np.median(load_s) / np.median(unit_s))
+    assert units < 2.5, f"a frame costs {units:.2f} units"

@@ -8,7 +8,7 @@ from small_world import SCALES, pose
 from stillroom.data.map import Map
 from stillroom.geometry import se3
 from stillroom.loops.correction import connected_to
-from stillroom.loops.essential_graph import alive_parent, essential_edges, path_between, shared_points
+from stillroom.loops.essential_graph import alive_parent, essential_edges, paths_from, shared_points
 
 
 def bare_map(poses: list[np.ndarray], parents: list[int], weights: dict[tuple[int, int], int]) -> Map:
@@ -29,7 +29,7 @@ def line() -> Map:
     return bare_map(poses, [-1, 0, 1, 2, 3, 4], {(0, 2): 150, (1, 3): 99, (2, 3): 30, (0, 5): 100})
 
 
-def edges_of(world: Map, weight: int) -> set[tuple[int, int]]:
+def edges_of(world: Map, weight: int | None) -> set[tuple[int, int]]:
     return {(int(first), int(second)) for first, second in essential_edges(world, weight)}
 
 
@@ -38,6 +38,7 @@ def test_tree_strong_covisibility_and_loops_make_the_graph() -> None:
     tree = {(0, 1), (1, 2), (2, 3), (3, 4), (4, 5)}
     assert edges_of(world, 100) == tree | {(0, 2), (0, 5)}
     assert edges_of(world, 15) == tree | {(0, 2), (0, 5), (1, 3)}
+    assert edges_of(world, None) == tree
     world.loop_edges.append((1, 4))
     assert edges_of(world, 1000) == tree | {(1, 4)}
     edges = essential_edges(world, 100)
@@ -58,12 +59,12 @@ def test_culled_keyframes_are_bridged() -> None:
 def test_the_way_between_keyframes_is_the_shortest_and_turns_count() -> None:
     world = line()
     edges = np.array(list(pairwise(range(6))))
-    np.testing.assert_allclose(path_between(0, 5, edges, world), 2.5, atol=1e-6)
-    np.testing.assert_allclose(path_between(5, 1, edges, world), 2.0, atol=1e-6)
+    np.testing.assert_allclose(paths_from(0, edges, world)[5], 2.5, atol=1e-6)
+    np.testing.assert_allclose(paths_from(5, edges, world)[1], 2.0, atol=1e-6)
     world.keyframes.T_world_cam[5] = world.keyframes.T_world_cam[5] @ se3.exp(np.array([0, 0, 0, 0, 0.7, 0]))
-    np.testing.assert_allclose(path_between(0, 5, edges, world), 3.2, atol=1e-6)
-    np.testing.assert_allclose(path_between(0, 4, np.array([[0, 1], [1, 4]]), world), 2.0, atol=1e-6)
-    assert path_between(0, 3, np.array([[0, 1], [3, 4]]), world) == np.inf
+    np.testing.assert_allclose(paths_from(0, edges, world)[5], 3.2, atol=1e-6)
+    np.testing.assert_allclose(paths_from(0, np.array([[0, 1], [1, 4]]), world)[4], 2.0, atol=1e-6)
+    assert paths_from(0, np.array([[0, 1], [3, 4]]), world)[3] == np.inf
 
 
 def test_what_no_edge_joins_is_left_out() -> None:

@@ -17,26 +17,28 @@ def alive_parent(keyframe: int, world: Map) -> int:
     return parent
 
 
-def essential_edges(world: Map, min_weight: int) -> I64:
+def essential_edges(world: Map, min_weight: int | None) -> I64:
     """Return the edges (E, 2) between alive keyframes: spanning tree, strong covisibility, and the loops closed so far.
 
     Args:
         world: The map.
-        min_weight: Shared points from which on covisibility is strong (ORB-SLAM2: 100).
+        min_weight: Shared points from which on covisibility is strong (ORB-SLAM2: 100); None leaves it out.
     """
-    alive = world.keyframes.is_alive
-    edges: dict[tuple[int, int], None] = {}
-    for keyframe in world.alive_keyframes().tolist():
-        parent = alive_parent(keyframe, world)
-        if parent >= 0:
-            edges[_ordered(parent, keyframe)] = None
-    for first, second, weight in world.covisibility.edges().tolist():
-        if weight >= min_weight and alive[first] and alive[second]:
-            edges[_ordered(first, second)] = None
-    for first, second in world.loop_edges:
-        if alive[first] and alive[second]:
-            edges[_ordered(first, second)] = None
-    return np.array(list(edges), dtype=np.int64).reshape(-1, 2)
+    table, children = world.keyframes, world.alive_keyframes()
+    parents = table.parent[children].astype(np.int64)
+    while True:
+        culled = np.flatnonzero((parents >= 0) & ~table.is_alive[parents])
+        if len(culled) == 0:
+            break
+        parents[culled] = table.parent[parents[culled]]
+    tree = np.column_stack((parents, children))[parents >= 0]
+    loops = np.array(world.loop_edges, dtype=np.int64).reshape(-1, 2)
+    kinds = [tree, loops]
+    if min_weight is not None:
+        weighted = world.covisibility.edges().astype(np.int64)
+        kinds.append(weighted[weighted[:, 2] >= min_weight, :2])
+    edges = np.sort(np.concatenate(kinds), axis=1)
+    return np.unique(edges[table.is_alive[edges].all(axis=1)], axis=0)
 
 
 def shared_points(edges: I64, world: Map) -> F64:
@@ -44,8 +46,8 @@ def shared_points(edges: I64, world: Map) -> F64:
     return np.array([world.covisibility.weight(int(first), int(second)) for first, second in edges], dtype=np.float64)
 
 
-def path_between(first: int, second: int, edges: I64, world: Map) -> float:
-    """Return the length [m] of the shortest way through the graph; infinite where there is none.
+def paths_from(keyframe: int, edges: I64, world: Map) -> F64:
+    """Return the length [m] of the shortest way through the graph to each keyframe (K,); infinite where none leads.
 
     An edge is as long as its keyframes are apart, and a turn of one radian counts as a metre: both are where drift
     comes from.
@@ -55,8 +57,5 @@ def path_between(first: int, second: int, edges: I64, world: Map) -> float:
     length_m = np.linalg.norm(apart[:, :3, 3], axis=1) + se3.angle_rad(apart)
     n = len(world.keyframes)
     graph: csr_matrix = coo_matrix((length_m + 1e-9, (edges[:, 0], edges[:, 1])), shape=(n, n)).tocsr()
-    return float(dijkstra(graph, directed=False, indices=first)[second])
-
-
-def _ordered(first: int, second: int) -> tuple[int, int]:
-    return (first, second) if first < second else (second, first)
+    lengths_m: F64 = dijkstra(graph, directed=False, indices=keyframe)
+    return lengths_m

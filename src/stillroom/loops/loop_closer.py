@@ -11,9 +11,10 @@ from stillroom.data.map import Map
 from stillroom.errors import ConfigError
 from stillroom.features.places.place_memory import PlaceMemory
 from stillroom.geometry import se3
+from stillroom.geometry.arrays import F64
 from stillroom.geometry.camera import Camera
 from stillroom.loops.correction import Correction, close_loop
-from stillroom.loops.essential_graph import essential_edges, path_between
+from stillroom.loops.essential_graph import essential_edges, paths_from
 from stillroom.loops.global_bundle import GlobalBundle
 from stillroom.loops.recognition.detection import DetectionConfig
 from stillroom.loops.recognition.verification import Loop, VerificationConfig
@@ -35,6 +36,8 @@ class LoopsConfig:
         drift_m, drift_rad: Error that may have gathered anywhere.
         drift_m_per_m, drift_rad_per_m: Error that may have gathered on each metre of the shortest known way between
             the place then and now: a look-alike that odometry puts further off is refused.
+        sight_m, sight_rad: Images further apart than this show different things. What cannot be a loop for all the
+            drift there may be is not even looked at.
         full_beyond_m, full_beyond_rad: A loop that was further off than this is followed by an adjustment of all
             keyframes; else those that show the place are adjusted, which costs the same however large the map is.
         essential_weight: Shared points from which on two keyframes are joined in the essential graph.
@@ -52,6 +55,8 @@ class LoopsConfig:
     drift_rad: float = 0.2
     drift_m_per_m: float = 0.1
     drift_rad_per_m: float = 0.03
+    sight_m: float = 3.0
+    sight_rad: float = 1.2
     full_beyond_m: float = 0.05
     full_beyond_rad: float = 0.02
     essential_weight: int = 100
@@ -137,7 +142,7 @@ class LoopCloser:
         """Look whether a keyframe, the newest, closes a loop, and correct the map; return whether it did."""
         if not self.world.keyframes.is_alive[keyframe]:
             return False
-        for candidate in self._detector.candidates(keyframe):
+        for candidate in self._within_sight(keyframe, self._detector.candidates(keyframe)):
             loop = self._verifier.verify(keyframe, candidate, self.places.index, self.world)
             if loop is not None and self._is_plausible(loop):
                 self._detector.pause(keyframe)
@@ -146,25 +151,39 @@ class LoopCloser:
 
     def _is_plausible(self, loop: Loop) -> bool:
         """Tell whether the map may have drifted by as much as the loop says."""
-        config, world = self.config, self.world
-        edges = essential_edges(world, int(world.covisibility.min_weight))
-        path_m = path_between(loop.keyframe, loop.candidate, edges, world)
-        T_is_should = se3.inverse(world.keyframes.T_world_cam[loop.keyframe]) @ loop.T_world_cam
-        off_m, off_rad = float(np.linalg.norm(T_is_should[:3, 3])), float(se3.angle_rad(T_is_should))
-        plausible = off_m <= config.drift_m + config.drift_m_per_m * path_m
-        plausible &= off_rad <= config.drift_rad + config.drift_rad_per_m * path_m
+        T_is_should = se3.inverse(self.world.keyframes.T_world_cam[loop.keyframe]) @ loop.T_world_cam
+        edges = essential_edges(self.world, self.world.covisibility.min_weight)
+        way_m = float(paths_from(loop.keyframe, edges, self.world)[loop.candidate])
+        plausible = self._may_be_off(T_is_should, way_m)
         logger.info(
             "keyframe %d looks like %d: %d of %d points, off by %.3f m and %.3f rad after %.1f m: %s",
             loop.keyframe,
             loop.candidate,
             len(loop.rows),
             loop.n_visible,
-            off_m,
-            off_rad,
-            path_m,
+            float(np.linalg.norm(T_is_should[:3, 3])),
+            float(se3.angle_rad(T_is_should)),
+            way_m,
             "plausible" if plausible else "refused",
         )
         return plausible
+
+    def _within_sight(self, keyframe: int, candidates: list[int]) -> list[int]:
+        """Return the candidates that may show what the keyframe shows, for all that the map can have drifted."""
+        if not candidates:
+            return []
+        poses, config = self.world.keyframes.T_world_cam, self.config
+        ways_m = paths_from(keyframe, essential_edges(self.world, None), self.world)
+        between = se3.inverse(poses[keyframe]) @ poses[np.array(candidates)]
+        chosen = zip(candidates, between, strict=True)
+        return [k for k, T in chosen if self._may_be_off(T, float(ways_m[k]), config.sight_m, config.sight_rad)]
+
+    def _may_be_off(self, T_is_should: F64, way_m: float, more_m: float = 0.0, more_rad: float = 0.0) -> bool:
+        """Tell whether drift along a way, and something more, explains a motion (4, 4)."""
+        config = self.config
+        off_m, off_rad = float(np.linalg.norm(T_is_should[:3, 3])), float(se3.angle_rad(T_is_should))
+        near = off_m <= config.drift_m + config.drift_m_per_m * way_m + more_m
+        return near and off_rad <= config.drift_rad + config.drift_rad_per_m * way_m + more_rad
 
     def correct(self, loop: Loop) -> bool:
         """Correct the map for a loop; take it back where the map had to give up what it knew."""

@@ -6,7 +6,7 @@ from functools import lru_cache
 import numpy as np
 import pytest
 from posed_keyframes import PosedKeyframes
-from scipy.spatial import cKDTree
+from true_surfaces import FIGURES, REACH_M, STILL, THINGS, distances_m, share_in, surface, times_looked_through
 
 from stillroom.data.cloud.dense_cloud import DenseCloud
 from stillroom.data.image import RgbdImage
@@ -14,12 +14,10 @@ from stillroom.datasets.open import open_dataset
 from stillroom.datasets.synthetic import FrameTruth, SyntheticRoom
 from stillroom.dense.carving import CarvingConfig
 from stillroom.dense.dense_mapper import DenseMapperConfig
-from stillroom.geometry import se3
 
 STEP = 5
 FULL = DenseMapperConfig()
 WITHOUT = DenseMapperConfig(carving=CarvingConfig(removal=False))
-REACH_M = 4.9
 FAR_M = 7.0
 
 
@@ -48,47 +46,16 @@ class Filmed:
 
     def surface(self, time_s: float, instances: range) -> np.ndarray:
         """Points (N, 3) [m, world] of instances that are truly seen at a time, thinned to 2 cm."""
-        truth = self.truths[round(time_s * 30 / STEP)]
-        return thin(self._points(truth, instances))
+        return surface(self.room, [self.truths[round(time_s * 30 / STEP)]], instances)
 
     @lru_cache(maxsize=8)  # noqa: B019 # the films live as long as the tests
     def still_surface(self, reach_m: float = REACH_M) -> np.ndarray:
         """Points (N, 3) [m, world] of the still room that any of the frames truly sees, thinned to 2 cm."""
-        return thin(np.concatenate([self._points(truth, range(1), reach_m) for truth in self.truths[::4]]))
+        return surface(self.room, self.truths[::4], STILL, reach_m)
 
     def times_looked_through(self, points_m: np.ndarray, from_s: float) -> np.ndarray:
         """Count the frames from a time on that truly see something more than 15 cm behind points (N, 3), (N,)."""
-        count = np.zeros(len(points_m), dtype=int)
-        for truth in self.truths[round(from_s * 30 / STEP) :]:
-            cam = se3.transform(se3.inverse(truth.T_world_cam), points_m)
-            px = np.rint(self.room.camera.project(cam)).astype(int)
-            inside = np.all((px >= 8) & (px < (632, 472)), axis=1)
-            u, v = px[inside].T
-            count[inside] += truth.depth_m[v, u] > cam[inside, 2] + 0.15
-        return count
-
-    def _points(self, truth: FrameTruth, instances: range, reach_m: float = REACH_M) -> np.ndarray:
-        shown = np.isin(truth.instance, instances) & (truth.depth_m > 0) & (truth.depth_m < reach_m)
-        v, u = np.nonzero(shown)
-        points = self.room.camera.back_project(np.stack((u, v), axis=1).astype(np.float64), truth.depth_m[shown])
-        return se3.transform(truth.T_world_cam, points)
-
-
-def thin(points_m: np.ndarray) -> np.ndarray:
-    i, j, k = np.floor(points_m / 0.02).astype(np.int64).T + 1000
-    return points_m[np.unique((i * 2000 + j) * 2000 + k, return_index=True)[1]]
-
-
-def distances_m(points_m: np.ndarray, others_m: np.ndarray) -> np.ndarray:
-    return np.asarray(cKDTree(others_m).query(points_m)[0])
-
-
-def share_in(cloud: DenseCloud, surface_m: np.ndarray, within_m: float = 0.03) -> float:
-    """Return which share of a surface the cloud holds."""
-    return float(np.mean(distances_m(surface_m, cloud.positions_m) <= within_m))
-
-
-FIGURES, THINGS = range(1, 101), range(101, 120)
+        return times_looked_through(self.room, self.truths[round(from_s * 30 / STEP) :], points_m)
 
 
 @pytest.fixture(scope="module")

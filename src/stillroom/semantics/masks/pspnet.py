@@ -20,7 +20,7 @@ from stillroom.semantics.masks.refine import RefineConfig
 from stillroom.semantics.masks.regions import RegionsConfig
 
 SHIPPED = "pspnet_mobilenetv2_voc.onnx"
-INPUTS_PX = {"320x240": 320, "640x480": 640}
+INPUTS_PX = {"320x240": 320, "512x384": 512, "640x480": 640}
 HALF = (127.5, 127.5, 127.5)
 OUTPUT_STRIDE = 4
 """Pixels of the input per pixel of the scores that `stillroom export pspnet` lets a network tell."""
@@ -33,7 +33,7 @@ class PspNetConfig:
     Attributes:
         model: A file of `stillroom export pspnet`; a bare name is sought in the models' usual places. Empty is the one
             that comes with Stillroom.
-        input: Size at which it sees images: "640x480", or "320x240" for a quarter of the time.
+        input: Size at which it sees images: "640x480", "512x384" for two thirds of the time, "320x240" for a quarter.
         movable: Names of the classes that may move, of the 21 of PASCAL VOC.
         named: Names of the classes that stand still unless somebody moves them; told of as boxes.
         probability: From here on a pixel is of a movable class; the movable classes' probabilities count together.

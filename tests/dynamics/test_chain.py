@@ -69,16 +69,24 @@ def test_one_that_would_leave_too_little_goes_unheard_and_the_next_does_not() ->
     assert rejected(just_enough) == list(range(n - 40))
 
 
-def test_where_there_were_too_few_matches_before_all_are_heard() -> None:
+def test_where_tracking_could_not_go_on_before_all_are_heard() -> None:
+    few = MATCHES.keep(np.arange(len(MATCHES)) < 19)
+    assert rejected(judged(Fixed(0, 10), Fixed(10, 15), matches=few)) == list(range(15))
+
+
+def test_where_there_are_few_none_is_taken_away() -> None:
     few = MATCHES.keep(np.arange(len(MATCHES)) < 30)
-    assert rejected(judged(Fixed(0, 10), Fixed(10, 25), matches=few)) == list(range(25))
+    beside = judged(Fixed(30, 40), Fixed(29, 50), Fixed(40, 60), matches=few)
+    assert rejected(beside) == list(range(30, 60)), "the second would take one of the thirty"
 
 
-@pytest.mark.parametrize(("left", "enough"), [(40, True), (39, False)])
-def test_enough_is_enough(left: int, enough: bool) -> None:
+@pytest.mark.parametrize(
+    ("n", "left", "enough"), [(90, 40, True), (90, 39, False), (30, 30, True), (30, 29, False), (19, 0, True)]
+)
+def test_enough_is_enough(n: int, left: int, enough: bool) -> None:
     motion = Motion.none(len(FRAME), 480, 640)
     motion.is_static[left:] = False
-    assert leaves_enough(motion, MATCHES, 40) == enough
+    assert leaves_enough(motion, MATCHES.keep(np.arange(len(MATCHES)) < n), 40) == enough
 
 
 def test_a_verdict_falls_back_to_the_masks_and_then_to_nothing() -> None:

@@ -7,11 +7,14 @@ from stillroom.data.matches import Matches
 from stillroom.data.motion import Motion
 from stillroom.data.semantics import Semantics
 
+TRACKABLE = 20
+"""With fewer matches than this tracking does not go on, whatever is said of them."""
+
 
 def leaves_enough(motion: Motion, matches: Matches, min_matches: int) -> bool:
-    """Tell whether enough matches stay, or there were too few before."""
+    """Tell whether enough matches stay: so many, or all of them where there were fewer before."""
     stay = int(np.count_nonzero(motion.is_static[matches.keypoint]))
-    return not stay < min_matches <= len(matches)
+    return stay >= min(min_matches, len(matches)) or len(matches) < TRACKABLE
 
 
 def or_less(motion: Motion, frame: Frame, known: Semantics, matches: Matches, min_matches: int) -> Motion:

@@ -17,6 +17,7 @@ from stillroom.semantics.carried_boxes import CarriedBoxes, CarryConfig
 from stillroom.semantics.detector_off import withhold
 from stillroom.semantics.mask_files import MaskFilesConfig
 from stillroom.semantics.masks.onnx_masks import OnnxMasksConfig
+from stillroom.semantics.masks.pspnet import PspNetConfig
 from stillroom.semantics.nothing import NothingConfig
 from stillroom.semantics.truth import TruthConfig
 from stillroom.semantics.yolo_fastest import YoloFastestConfig
@@ -119,6 +120,13 @@ def test_a_network_keeps_the_contract(every: int, latency_frames: int, tmp_path:
 def test_onnx_masks_keep_the_contract(deeplab: Path, bonn: Path) -> None:
     dataset = open_dataset(str(bonn))
     config = OnnxMasksConfig(deeplab, every=2, latency_frames=1)
+    answers = check_segmenter(config.build, [dataset.load(index) for index in range(420, 424)])
+    assert all(answer.boxes and answer.mask.any() for answer in answers)
+
+
+def test_pspnet_keeps_the_contract(bonn: Path) -> None:
+    dataset = open_dataset(str(bonn))
+    config = PspNetConfig(input="320x240", every=2, latency_frames=1)
     answers = check_segmenter(config.build, [dataset.load(index) for index in range(420, 424)])
     assert all(answer.boxes and answer.mask.any() for answer in answers)
 

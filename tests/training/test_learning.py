@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from examples import people_example
 
-from stillroom.errors import MissingExtraError, WeightsError
+from stillroom.errors import ConfigError, MissingExtraError, WeightsError
 from stillroom.semantics.masks.pspnet import PspNetConfig
 from stillroom.training.evaluate import Overlap, called_person, overlap
 from stillroom.training.export.graph import Graph
@@ -204,3 +204,13 @@ def test_two_processes_learn_one_network(torch, tmp_path: Path) -> None:
     log = [json.loads(line) for line in (tmp_path / "out" / "log.jsonl").read_text().splitlines()]
     assert [line["step"] for line in log if "held_out" in line] == [3], "one process writes"
     assert np.isfinite(run(tmp_path / "out" / "pspnet.onnx")).all()
+
+
+@pytest.mark.parametrize(("device", "says"), [("tpu", "cpu or cuda"), ("cuda", "no such GPU")])
+def test_a_device_that_is_not_there(device: str, says: str, torch, tmp_path: Path) -> None:
+    from stillroom.training.train import Plan, Weights, train
+
+    if device == "cuda" and torch.cuda.is_available():
+        pytest.skip("there is a GPU here")
+    with pytest.raises(ConfigError, match=says):
+        train(Plan(tmp_path, tmp_path, recipe=RECIPE, device=device), [people_example()], Weights({}), print)

@@ -82,11 +82,12 @@ def train(plan: Plan, examples: list[Example], weights: Weights, told: Told) -> 
         told: Gets each line of the log.
 
     Raises:
-        ConfigError: A value of the recipe is impossible.
+        ConfigError: A value of the recipe is impossible, or the device is not there.
         MissingExtraError: torch is not installed.
         WeightsError: The checkpoint is of another network.
     """
     plan.recipe.check()
+    _check_device(plan.device)
     process, processes = int(os.environ.get("RANK", "0")), int(os.environ.get("WORLD_SIZE", "1"))
     network = architecture(plan.backbone)
     people = sum(example.kind == PEOPLE for example in examples)
@@ -138,6 +139,13 @@ def _learn(learner: Learner, batches: Batches, plan: Plan, log: "_Log | None") -
             learner.store(plan.out / CHECKPOINT)
         if plan.look_every and learner.step % plan.look_every == 0:
             log(look(learner, plan))
+
+
+def _check_device(device: str) -> None:
+    if device not in ("cpu", "cuda"):
+        raise ConfigError(f"device is '{device}'; it must be cpu or cuda")
+    if device == "cuda" and not torch_or_error().cuda.is_available():
+        raise ConfigError("device is cuda, but torch finds no such GPU here; use cpu")
 
 
 def _join(device: str) -> None:

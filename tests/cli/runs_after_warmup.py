@@ -27,6 +27,9 @@ from stillroom.system import build
 from stillroom.warmup import kernels, warm_up
 
 BASELINE = method("orb-slam2").config
+THOROUGH = "oc-slam"
+"""The method whose maps are drawn, exported and painted from: kernels see no difference between maps."""
+
 RUNS = (
     *(own.config for own in OWN),
     replace(BASELINE, method="multiview", dynamics=MultiViewConfig()),
@@ -35,25 +38,25 @@ RUNS = (
 
 
 def run(config: SlamConfig, folder: Path) -> int:
-    """Run a method over rendered frames and make of its maps what can be made; return the dense one's points."""
+    """Run a method over rendered frames; do all that can be done with the maps of one. Return the dense map's size."""
     sequence = select(open_dataset("synthetic:walking,frames=90"), "0:60:3")
     slam = build(config, sequence.camera, TruthConfig().build())  # the renderer's boxes: no weights are needed
-    painter = InpaintingConfig().build(sequence.camera)
+    painter, thorough = InpaintingConfig().build(sequence.camera), config.method == THOROUGH
     for index in range(len(sequence)):
         image = sequence.load(index)
         pose = slam.process(image).T_world_cam
-        if pose is not None and image.truth is not None:
-            painter.paint(image, pose, image.truth.movable, slam.map, slam.dense_mapper.cloud())
+        if thorough and pose is not None and image.truth is not None:
+            cloud = slam.dense_mapper.cloud() if index == len(sequence) - 1 else None
+            painter.paint(image, pose, image.truth.movable, slam.map, cloud)
             painter.remember(slam.results[-1].reference_keyframe, image, image.truth.movable)
     slam.map.keyframes.T_world_cam[0, 0, 3] += 0.05
     slam.dense_mapper.refresh()
     cloud = slam.dense_mapper.cloud()
-    draw_maps(folder, slam, cloud, config.method)
-    if cloud is None:
-        return 0
-    for name in chosen_formats(["all"]):
-        FORMATS[name](cloud, folder, ExportConfig())
-    return len(cloud)
+    if thorough and cloud is not None:
+        draw_maps(folder, slam, cloud, config.method)
+        for name in chosen_formats(["all"]):
+            FORMATS[name](cloud, folder, ExportConfig())
+    return 0 if cloud is None else len(cloud)
 
 
 def cold(known: dict[str, Any]) -> set[str]:

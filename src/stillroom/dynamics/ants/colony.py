@@ -46,25 +46,49 @@ def shortest_found(nodes_px: F64, start: int, end: int, config: ColonyConfig, dr
     if n <= 3:
         between = [k for k in range(n) if k not in (start, end)]
         return np.array(list(dict.fromkeys([start, *between, end])) if n else [], dtype=np.int64)
-    distance_px = np.linalg.norm(nodes_px[:, None] - nodes_px[None], axis=2)
-    nearness = 1.0 / np.maximum(distance_px, 1e-6) ** config.beta
-    pheromone = pheromone.copy()
-    tours, lengths_px = np.empty((config.ants, n), dtype=np.int64), np.empty(config.ants)
-    best, best_px = np.arange(n), np.inf
-    for k in range(config.rounds):
-        attraction = pheromone**config.alpha * nearness
-        walk(attraction, distance_px, start, end, draws[k], tours, lengths_px)
-        shortest = int(np.argmin(lengths_px))
-        if lengths_px[shortest] < best_px:
-            best, best_px = tours[shortest].copy(), float(lengths_px[shortest])
-        pheromone *= 1.0 - config.rho
-        lay(tours, best_px / np.maximum(lengths_px, 1e-6), pheromone)
+    best = np.empty(n, dtype=np.int64)
+    let_walk(nodes_px, start, end, draws, config.ants, config.alpha, config.beta, config.rho, pheromone.copy(), best)
     return best
 
 
 def length_px(nodes_px: F64, path: I64) -> float:
     """Return the length of a path (n,) over nodes (n, 2) [px]."""
     return float(np.linalg.norm(np.diff(nodes_px[path], axis=0), axis=1).sum())
+
+
+@numba.njit(nogil=True, cache=True)
+def let_walk(
+    nodes_px: F64,
+    start: int,
+    end: int,
+    draws: F64,
+    n_ants: int,
+    alpha: float,
+    beta: float,
+    rho: float,
+    pheromone: F64,
+    best: I64,
+) -> None:
+    """Let the ants walk, round after round, and write the shortest path (n,) of all; arguments as `shortest_found`."""
+    n = len(nodes_px)
+    distance_px, nearness, attraction = np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
+    for i in range(n):
+        for j in range(n):
+            dx, dy = nodes_px[i, 0] - nodes_px[j, 0], nodes_px[i, 1] - nodes_px[j, 1]
+            distance_px[i, j] = np.sqrt(dx * dx + dy * dy)
+            nearness[i, j] = max(distance_px[i, j], 1e-6) ** -beta  # Eq. 13, to the power β
+    tours, lengths_px, best_px = np.empty((n_ants, n), dtype=np.int64), np.empty(n_ants), np.inf
+    for k in range(len(draws)):
+        for i in range(n):
+            for j in range(n):
+                strength = pheromone[i, j] if alpha == 1.0 else pheromone[i, j] ** alpha
+                attraction[i, j] = strength * nearness[i, j]
+        walk(attraction, distance_px, start, end, draws[k], tours, lengths_px)
+        shortest = np.argmin(lengths_px)
+        if lengths_px[shortest] < best_px:
+            best[:], best_px = tours[shortest], lengths_px[shortest]
+        pheromone *= 1.0 - rho
+        lay(tours, best_px / np.maximum(lengths_px, 1e-6), pheromone)
 
 
 @numba.njit(nogil=True, cache=True)

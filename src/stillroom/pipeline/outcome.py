@@ -43,5 +43,10 @@ class RunOutcome:
 
     @property
     def n_tracked(self) -> int:
-        """Images that have a pose."""
-        return sum(result.T_world_cam is not None for result in self.slam.results)
+        """Images that have a pose; those in sub-maps that were never joined have none in the trajectory."""
+        return sum(result.T_world_cam is not None for result in self.slam.results) - self.n_apart
+
+    @property
+    def n_apart(self) -> int:
+        """Images that were tracked in sub-maps that were never joined with the main one."""
+        return len(self.slam.apart())

@@ -13,7 +13,7 @@ from stillroom.errors import ConfigError
 from stillroom.geometry import se3
 from stillroom.loops.loop_closer import LoopCloser, LoopsConfig, NoLoops
 from stillroom.loops.recognition.detection import DetectionConfig
-from stillroom.loops.recognition.verification import Loop
+from stillroom.loops.recognition.verification import Loop, Verifier
 
 
 def closer_of(made: Ring, **changes: Any) -> LoopCloser:
@@ -92,6 +92,19 @@ def test_a_loop_that_odometry_rules_out_is_refused_and_nothing_is_touched() -> N
     closer = closer_of(made, drift_m=0.1, drift_m_per_m=0.001)
     assert run(made, closer) == []
     check_same(made.map, before)
+
+
+def test_what_drift_cannot_have_brought_within_sight_is_not_even_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
+    made, looked_at = ring(), []
+
+    def look(_: Verifier, keyframe: int, candidate: int, *rest: object) -> None:
+        looked_at.append((keyframe, candidate))
+
+    monkeypatch.setattr(Verifier, "verify", look)
+    run(made, closer_of(made, drift_m=0.0, drift_rad=0.0, drift_m_per_m=0.0, drift_rad_per_m=0.0, sight_m=0.1))
+    assert looked_at == []
+    run(made, closer_of(made))
+    assert looked_at
 
 
 def false_loop(made: Ring, keyframe: int, candidate: int) -> Loop:

@@ -1,6 +1,7 @@
 """Whole runs through rendered buildings: a ring of corridors that closes, and rooms that only look the same."""
 
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -69,14 +70,15 @@ def walk(spec: str, method: str, monkeypatch: pytest.MonkeyPatch, *overrides: st
     return seen
 
 
-def test_a_ring_of_corridors_closes_at_the_right_place(monkeypatch: pytest.MonkeyPatch) -> None:
-    """26 m round, with walking figures whom this method does not even reject."""
-    seen = walk("synthetic:corridor,frames=600", "orb-slam2", monkeypatch)
+def test_a_ring_of_corridors_closes_and_divides_the_error_by_three(monkeypatch: pytest.MonkeyPatch) -> None:
+    """26 m round, with walking figures in boxes that are thrown away: no network is needed for that."""
+    rejecting = "semantics.kind=truth", "dynamics.kind=whole-boxes"
+    seen = walk("synthetic:corridor,frames=600", "orb-slam2", monkeypatch, *rejecting)
     assert any(seen.verdicts)
-    assert max(seen.claims_off_m) < 0.1
+    assert max(seen.claims_off_m) < 0.05
     first = seen.verdicts.index(True)
-    assert seen.ate_after_m[first] < 0.6 * seen.ate_before_m[first]
-    assert seen.ate_m() < 0.04
+    assert seen.ate_after_m[first] < seen.ate_before_m[first] / 3.0
+    assert seen.ate_m() < 0.02
 
 
 def check_nothing_false(seen: Walk) -> None:
@@ -93,20 +95,25 @@ def test_rooms_that_look_the_same_are_not_taken_for_one(monkeypatch: pytest.Monk
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("method", ["orb-slam2", "oc-slam"])
-def test_a_loop_of_66_m_divides_the_error_by_three(method: str, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("method", "share"), [("orb-slam2", 0.6), ("oc-slam", 1.0 / 3.0)])
+def test_a_loop_of_66_m_takes_away_most_of_the_error(
+    method: str, share: float, yolo_weights: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A figure who walks past carries `orb-slam2` along for a step: that is no drift, and a loop mends it in part."""
     spec = "synthetic:corridor,frames=1500"
-    without = walk(spec, method, monkeypatch, "loops.enabled=false").ate_m()
-    seen = walk(spec, method, monkeypatch)
+    without = walk(spec, method, monkeypatch, "dense.kind=nothing", "loops.enabled=false").ate_m()
+    seen = walk(spec, method, monkeypatch, "dense.kind=nothing")
     assert max(seen.claims_off_m) < 0.1
     assert any(seen.verdicts)
-    assert seen.ate_m() <= without / 3.0
+    assert seen.ate_m() <= share * without
 
 
 @pytest.mark.slow
-def test_no_two_of_ten_rooms_that_look_the_same_are_taken_for_one(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_two_of_ten_rooms_that_look_the_same_are_taken_for_one(
+    yolo_weights: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The whole tour, 144 m, and into the first room again."""
-    seen = walk("synthetic:building,frames=3200", "oc-slam", monkeypatch)
+    seen = walk("synthetic:building,frames=3200", "oc-slam", monkeypatch, "dense.kind=nothing")
     check_nothing_false(seen)
     assert any(seen.verdicts), "the first room was seen twice"
 

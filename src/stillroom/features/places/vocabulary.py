@@ -88,7 +88,9 @@ class Vocabulary:
         chosen = np.arange(len(descriptors)) if usable is None else np.flatnonzero(usable)
         nodes = np.full(len(descriptors), -1, dtype=np.int32)
         said, nodes[chosen] = self.quantise(descriptors[chosen])
-        found, times = np.unique(said, return_counts=True)
+        said = np.sort(said)
+        starts = np.flatnonzero(np.diff(said, prepend=np.int32(-1)))
+        found, times = said[starts], np.diff(starts, append=len(said))
         weights = times * self.idf[found]
         found, weights = found[weights > 0], weights[weights > 0]
         return Bag(found.astype(np.int32), (weights / max(weights.sum(), 1e-12)).astype(np.float32), nodes)

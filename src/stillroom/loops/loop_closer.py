@@ -45,7 +45,8 @@ class LoopsConfig:
         max_lost_share_of_one: The same for the keyframe that suffers most.
         min_kept_share: Share of what the loop joined that must fit afterwards.
         abort_after: Full bundle adjustment ends early when so many keyframes have come since it began.
-        graph, bundle: The optimisers.
+        graph, bundle: The optimisers. Adjustment starts almost undamped: the pose graph has brought it near its goal,
+            and what damping holds back first is what the map does as a whole.
     """
 
     enabled: bool = True
@@ -65,7 +66,7 @@ class LoopsConfig:
     min_kept_share: float = 0.5
     abort_after: int = 3
     graph: PoseGraphConfig = field(default_factory=PoseGraphConfig)
-    bundle: BundleConfig = field(default_factory=BundleConfig)
+    bundle: BundleConfig = field(default_factory=lambda: BundleConfig(first_damping=1e-8))
 
     def build(
         self,

@@ -28,7 +28,7 @@ def train_vocabulary(
     one's own, may tell similar places apart better. A text beside the file says what it was made from. To use it:
     --set places.vocabulary=FILE.
 
-        stillroom train-vocabulary synthetic:empty rgbd_dataset_freiburg1_rpy --out rooms.vocabulary
+        stillroom train-vocabulary synthetic:empty my_lab --out lab.vocabulary
     """
     from rich.progress import Progress
 

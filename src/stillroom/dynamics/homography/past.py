@@ -1,5 +1,6 @@
 """The images that the present one is held against."""
 
+import itertools
 from dataclasses import dataclass, field, replace
 
 import cv2
@@ -65,6 +66,18 @@ class Past:
         old = [image for image in earlier if now_s - image.timestamp_s >= 0.9 * self._age_s]
         first = old[-1] if old else earlier[0]
         return [first] if first is earlier[-1] else [first, earlier[-1]]
+
+    def turn_rad_s(self, frame: Frame, T_cam_world: F64) -> float:
+        """Return how fast the camera turned at most, from image to image, since the oldest that is kept [rad/s]."""
+        poses = [
+            (image.timestamp_s, image.T_cam_world) for image in self._images if image.timestamp_s < frame.timestamp_s
+        ]
+        poses.append((frame.timestamp_s, T_cam_world))
+        turns = [
+            float(se3.angle_rad(T @ se3.inverse(before))) / (time_s - before_s)
+            for (before_s, before), (time_s, T) in itertools.pairwise(poses)
+        ]
+        return max(turns, default=0.0)
 
     def follow(self, T_new_old: F64) -> None:
         """Move what is remembered by a motion (4, 4) of the world's coordinates."""

@@ -50,6 +50,8 @@ class MovedSegmentsConfig:
             was the same before; against 1 of one that is recognised. Part of what slides within its own outline looks
             so, too.
         tolerance_m, tolerance_share: Depth is the same within the larger of the first and this share of it.
+        max_turn_rad_s: Nothing is found to move while the camera turns faster. Depth and colour are some 30 ms apart,
+            which then displaces one against the other by more than many a segment is wide.
         gain: What an image adds to the log-odds when all points say the same.
         limit: Largest log-odds: how much a segment's past can weigh.
         fades_in_s: Time in which unsupported log-odds fall to 1/e.
@@ -67,6 +69,7 @@ class MovedSegmentsConfig:
     plain: float = 0.25
     tolerance_m: float = 0.05
     tolerance_share: float = 0.02
+    max_turn_rad_s: float = 0.5
     gain: float = 1.5
     limit: float = 2.5
     fades_in_s: float = 1.0
@@ -158,7 +161,10 @@ class MovedSegments:
         belief = self._belief.of(samples, len(clusters), T_cam_world, frame.camera, frame.timestamp_s)
         earlier = self._past.before(frame)
         if earlier:
-            belief = belief + config.gain * self._votes(frame, clusters, view, earlier[0], T_cam_world)
+            votes = self._votes(frame, clusters, view, earlier[0], T_cam_world)
+            if self._past.turn_rad_s(frame, T_cam_world) > config.max_turn_rad_s:
+                votes = np.minimum(votes, 0.0)
+            belief = belief + config.gain * votes
         return np.asarray(np.clip(belief, -config.limit, config.limit))
 
     def _votes(self, frame: Frame, clusters: Clusters, view: View, earlier: EarlierImage, T_cam_world: F64) -> F64:

@@ -52,6 +52,7 @@ def test_what_lies_elsewhere_in_the_map_costs_nothing(record_property: Callable[
     assert growth < 1.25, growth
 
 
+@pytest.mark.slow
 def test_walking_where_one_has_been_makes_the_map_no_larger() -> None:
     """Two rounds of 300 frames through one room: the second finds the first's points again."""
     room = open_synthetic("synthetic:rooms,rooms=1,frames=600,cache=off")

@@ -72,10 +72,12 @@ def afterwards() -> dict[str, Any]:
     return json.loads(done.stdout)
 
 
+@pytest.mark.slow
 def test_after_it_every_kernel_is_ready(afterwards: dict[str, Any]) -> None:
     assert set(afterwards["cold"]) <= UNUSED
 
 
+@pytest.mark.slow
 def test_after_it_runs_pictures_and_exports_compile_nothing(afterwards: dict[str, Any]) -> None:
     assert afterwards["late"] == []
     assert afterwards["n_points"]["oc-slam"] > 10_000

@@ -119,7 +119,7 @@ class KeypointSieve(Protocol):
 
 
 class MatchSieve(Protocol):
-    """Sieve 2: decides while tracking what does move."""
+    """Sieve 2: decides while tracking what does move. Poses that it remembers follow the map (`data.map.jumps`)."""
 
     def judge(
         self,

@@ -44,10 +44,11 @@ def ask(
     known: Semantics | None = None,
     stage: Stage = Stage.LOCAL_MAP,
     matches: Matches | None = None,
+    world: Map | None = None,
 ) -> Motion:
     matches = matches or Matches.of(np.full(len(frame), -1, np.int32))
     known = known or nothing(frame.image.height, frame.image.width)
-    return sieve.judge(stage, frame, matches, Done(known), T_cam_world, Map(frame.scales))
+    return sieve.judge(stage, frame, matches, Done(known), T_cam_world, world or Map(frame.scales))
 
 
 def run(config: CompensatedHomographyConfig, seen: list, seed: int = 0, known=lambda frame: None) -> list[Motion]:
@@ -170,6 +171,31 @@ def test_an_empty_room_is_static() -> None:
         wrong, n = wrong + np.count_nonzero(~motion.is_static), n + len(frame)
     assert sieve.findings is not None
     assert wrong < 0.003 * n
+
+
+@pytest.mark.parametrize("said", [True, False])
+def test_what_is_remembered_follows_a_map_that_jumps(seen: list, said: bool) -> None:
+    """The pose then is a guess of the motion between the images; far off, nothing is found again."""
+    stays, jumps = (CompensatedHomographyConfig().build(0) for _ in range(2))
+    world, jump = Map(seen[0][0].scales), se3.exp(np.array([0.5, -0.2, 0.3, 0.1, 0.6, -0.2]))
+    for k, (frame, T_cam_world) in enumerate(seen):
+        expected = ask(stays, frame, T_cam_world)
+        if k < 2:
+            motion = ask(jumps, frame, T_cam_world, world=world)
+        else:
+            if said and not world.jumps:
+                world.jumps.append(jump)
+            motion = ask(jumps, frame, T_cam_world @ se3.inverse(jump), world=world)
+        if k == 2 and not said:
+            assert expected.moving.any()
+            assert jumps.findings is None
+            return
+        np.testing.assert_array_equal(motion.is_static, expected.is_static)
+        np.testing.assert_array_equal(motion.moving, expected.moving)
+        if k > 0:
+            found, right = jumps.findings.camera_motion, stays.findings.camera_motion
+            np.testing.assert_allclose(found.T_then_now, right.T_then_now, atol=1e-6)
+            np.testing.assert_allclose(found.H_now_then, right.H_now_then, atol=1e-6, rtol=1e-6)
 
 
 def test_the_motion_and_the_homography_are_the_true_ones(seen: list) -> None:

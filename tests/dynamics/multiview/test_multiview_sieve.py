@@ -269,6 +269,20 @@ def test_depth_is_displaced_when_the_camera_turns() -> None:
     assert views.displaced_px(second, T_cam_world) == pytest.approx(0.02 * CAMERA.fx * 1.0)
 
 
+def test_a_map_that_jumps_is_no_turn_of_the_camera() -> None:
+    views, jump = KeyframeViews(KeyframesConfig(apart_s=0.02)), pose(0.7, -0.2, 0.4, turn=(0.1, 0.5, -0.2))
+    views.follow(jump)
+    first, _ = WORLD.look(pose(), index=0)
+    second, _ = WORLD.look(pose(), index=3)
+    views.note(first, np.eye(4), np.zeros((CAMERA.height, CAMERA.width), np.bool_))
+    turned = se3.inverse(pose(0.3, turn=(0.0, 0.1, 0.0)))
+    before_px = views.displaced_px(second, turned)
+    assert before_px == pytest.approx(0.02 * CAMERA.fx * 1.0)
+    views.follow(jump)
+    assert views.displaced_px(second, turned @ se3.inverse(jump)) == pytest.approx(before_px, rel=1e-6)
+    assert views.displaced_px(second, turned) > 4 * before_px
+
+
 @pytest.mark.parametrize(
     ("config", "said"),
     [

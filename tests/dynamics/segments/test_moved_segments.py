@@ -183,6 +183,19 @@ def test_what_is_remembered_follows_a_map_that_jumps(play: Play) -> None:
     assert any(moved), "a map that did not say so would make everything move"
 
 
+def test_a_chair_that_is_pushed_while_the_map_jumps_is_found_as_if_it_had_not() -> None:
+    stays, jumps = (Play(MovedSegmentsConfig().build(0)) for _ in range(2))
+    jump = pose(0.5, 0.1, turn=(0.0, 0.6, 0.0))
+    for step in range(16):
+        if step == 8:
+            jumps.small.map.jumps.append(jump)
+        expected, _ = show(stays, pushed(step))
+        motion, _ = show(jumps, pushed(step), T_world_cam=jump @ HOME if step >= 8 else HOME)
+        np.testing.assert_array_equal(motion.moving, expected.moving)
+        np.testing.assert_array_equal(motion.is_static, expected.is_static)
+    assert share(expected, pushed(15)) == 1.0
+
+
 @pytest.mark.parametrize(
     ("key", "value"), [("max_points", 0), ("min_points", 0), ("share", 0.0), ("share", 1.0), ("margin_px", -1)]
 )

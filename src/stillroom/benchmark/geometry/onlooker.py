@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from stillroom.data.image import RgbdImage
+from stillroom.data.map.jumps import JumpFollower
 from stillroom.data.matches import Matches
 from stillroom.data.motion import Stage
 from stillroom.data.result import FrameResult, Tracked
@@ -87,6 +88,7 @@ class GeometryOnlooker:
         self._sieve = replace(config.homography, search=EXHAUSTIVE).build(seed)
         keyframes = replace(config.multi_view.keyframes, grid_px=0)
         self._multi_view = replace(config.multi_view, keyframes=keyframes).build()
+        self._jumps = JumpFollower()
         self._searches = {test: self._new_searches() for test in TESTS}
         self._images: deque[RgbdImage] = deque(maxlen=KEPT_IMAGES)
         self._most = 0
@@ -101,6 +103,7 @@ class GeometryOnlooker:
         known = semantics if self.config.network else nothing(frame.image.height, frame.image.width)
         unmatched = Matches.of(np.full(len(frame), -1, dtype=np.int32))
         self._images.append(frame.image)
+        self._jumps.follow(world, (self._multi_view.views,))
         self._sieve.judge(Stage.LOCAL_MAP, frame, unmatched, Done(known), T_cam_world, world)
         findings, question = self._sieve.findings, self._multi_view.question(frame, T_cam_world, world)
         if findings is not None and question is not None:

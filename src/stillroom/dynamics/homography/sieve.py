@@ -9,6 +9,7 @@ import numpy as np
 from stillroom.data.frame import Frame
 from stillroom.data.image import RgbdImage
 from stillroom.data.map import Map
+from stillroom.data.map.jumps import JumpFollower
 from stillroom.data.matches import Matches
 from stillroom.data.motion import Motion, Stage
 from stillroom.data.semantics import Semantics
@@ -99,6 +100,7 @@ class CompensatedHomographySieve:
         self.config, self.seed = config, seed
         self._compensation = Compensation(config.compensation, seed)
         self._past = Past(config.earlier_s)
+        self._jumps = JumpFollower()
         self._ants = config.ants.build(seed)
         self._asked: Frame | None = None
         self._remembered: RgbdImage | None = None
@@ -116,6 +118,7 @@ class CompensatedHomographySieve:
         """Judge by the masks, and outside them by geometry."""
         if stage is Stage.RELOCALIZATION:
             return Motion.none(len(frame), frame.image.height, frame.image.width)
+        self._jumps.follow(world, (self._past,))
         known = semantics.result()
         if self._asked is None or self._asked.image is not frame.image:
             self._view, self.findings = view_of(frame.image), None

@@ -9,6 +9,7 @@ import numpy as np
 from stillroom.data.frame import Frame
 from stillroom.data.image import RgbdImage
 from stillroom.data.map import Map
+from stillroom.data.map.jumps import JumpFollower
 from stillroom.data.matches import Matches
 from stillroom.data.motion import Motion, Stage
 from stillroom.data.semantics import Semantics, nothing
@@ -87,6 +88,7 @@ class MultiViewSieve:
         self.config = config
         self.geometry = config.test.build()
         self._quick: _Found | None = None
+        self._jumps = JumpFollower()
 
     def judge(
         self,
@@ -105,6 +107,8 @@ class MultiViewSieve:
         """
         if stage is Stage.RELOCALIZATION:
             return Motion.none(len(frame), frame.image.height, frame.image.width)
+        if self._jumps.follow(world, (self.geometry.views,)):
+            self._quick = None
         self.geometry.views.settle(world)
         found = self._mask(stage, frame, T_cam_world, world) if self.config.geometry else None
         known = semantics.result()

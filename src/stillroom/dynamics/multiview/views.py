@@ -1,7 +1,7 @@
 """What the last keyframes saw: small depth images, and points to look for in the present image."""
 
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -127,6 +127,11 @@ class KeyframeViews:
         displaced_px = self.displaced_px(frame, T_cam_world)
         self._last = _Noted(frame.timestamp_s, T_cam_world.copy(), displaced_px)
         self._newest = frame, moving, displaced_px
+
+    def follow(self, T_new_old: F64) -> None:
+        """Move the pose noted last by a motion (4, 4) of the world's coordinates; the map knows the keyframes'."""
+        if self._last is not None:
+            self._last = replace(self._last, T_cam_world=self._last.T_cam_world @ se3.inverse(T_new_old))
 
     def settle(self, world: Map) -> None:
         """Keep the frame that was noted last, if it has become a keyframe since."""

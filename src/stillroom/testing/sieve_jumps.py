@@ -1,0 +1,129 @@
+"""What every `MatchSieve` must keep when the map jumps.
+
+In a test of your own::
+
+    from stillroom.testing.sieve_jumps import check_follows_jumps
+
+    def test_my_sieve_follows():
+        check_follows_jumps(MySieveConfig().build)  # anything that takes a seed and builds a fresh one
+"""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import numpy as np
+
+from stillroom.config import SlamConfig
+from stillroom.data.frame import Frame
+from stillroom.data.image import RgbdImage
+from stillroom.data.map import Map
+from stillroom.data.matches import Matches
+from stillroom.data.motion import Motion, Stage
+from stillroom.data.semantics import Semantics
+from stillroom.datasets.open import open_dataset
+from stillroom.datasets.selection import select
+from stillroom.geometry import se3
+from stillroom.geometry.arrays import F64
+from stillroom.geometry.camera import Camera
+from stillroom.protocols import Dataset, MatchSieve, Pending
+from stillroom.schedule import Done
+from stillroom.system import build as build_slam
+from stillroom.testing.true_clusters import true_clusters
+
+WALKING, FRAMES = "synthetic:walking,frames=20,fps=8,cache=off", "4:20"
+"""Two seconds; figures walk in from both sides. The map jumps in the middle, when both are in view."""
+SEED = 3
+FAR = (0.7, -0.4, 1.1, 0.2, 0.9, -0.3)
+"""Twist of the jump: as far as a loop ever moved a map, and farther [m, rad]."""
+
+
+def check_follows_jumps(build: Callable[[int], MatchSieve], dataset: Dataset | None = None) -> int:
+    """Make sure that a sieve says the same of a map that jumps as of one that does not.
+
+    The camera is tracked through a short rendered sequence with the sieve in its place. A twin of it is asked the same
+    questions about the same map, which from the middle of the sequence on lies elsewhere, and says so in `Map.jumps`.
+
+    Args:
+        build: Returns a fresh sieve for a seed.
+        dataset: A rendered sequence of some 16 frames without loops; the package's own where not given.
+
+    Returns:
+        How many verdicts after the jump found something to move.
+
+    Raises:
+        AssertionError: The sieve holds what it sees against what it remembers from before the jump, as if that were
+            still where it was.
+    """
+    dataset = dataset or select(open_dataset(WALKING), FRAMES)
+    first = dataset.load(0).index
+    tracking = _Tracking(build, jump_at=first + len(dataset) // 2)
+    slam = build_slam(SlamConfig(dynamics=tracking), dataset.camera, _OneBoxAndClusters(dataset.camera))
+    for place in range(len(dataset)):
+        slam.process(dataset.load(place))
+    slam.close()
+    assert not slam.map.jumps, "the sequence closes a loop; choose another one"
+    return tracking.n_moving
+
+
+class _OneBoxAndClusters:
+    """Tells the first box only, as a detector that misses people would, and the clusters of a depth cloud."""
+
+    def __init__(self, camera: Camera) -> None:
+        self.camera = camera
+
+    def __call__(self, image: RgbdImage) -> Semantics:
+        assert image.truth is not None, f"image {image.index} carries no truth: the sequence must be a rendered one"
+        clusters = true_clusters(image, self.camera)
+        return Semantics(image.height, image.width, image.truth.boxes[:1], clusters=clusters)
+
+
+class _Tracking:
+    """Sits in the tracker's socket, puts each of its questions to the sieve, and to a twin after the map jumped."""
+
+    def __init__(self, build: Callable[[int], MatchSieve], jump_at: int) -> None:
+        self.sieve, self.twin, self.jump_at, self.n_moving = build(SEED), build(SEED), jump_at, 0
+        self.jump = se3.exp(np.array(FAR))
+
+    def build(self, seed: int) -> MatchSieve:
+        return self
+
+    def judge(
+        self,
+        stage: Stage,
+        frame: Frame,
+        matches: Matches,
+        semantics: Pending[Semantics],
+        T_cam_world: F64,
+        world: Map,
+    ) -> Motion:
+        known, index = Done(semantics.result()), frame.image.index
+        motion = self.sieve.judge(stage, frame, matches, known, T_cam_world, world)
+        if index < self.jump_at:
+            other = self.twin.judge(stage, frame, matches, known, T_cam_world, world)
+        else:
+            self.n_moving += bool(motion.moving.any())
+            with _jumped(world, self.jump):
+                other = self.twin.judge(stage, frame, matches, known, T_cam_world @ se3.inverse(self.jump), world)
+        where = f"image {index}, {stage.name}: after the map jumped at {self.jump_at}, the sieve"
+        n = int(np.count_nonzero(motion.is_static != other.is_static))
+        assert n == 0, f"{where} says otherwise of {n} keypoints"
+        n = int(np.count_nonzero(motion.moving != other.moving))
+        assert n == 0, f"{where} says otherwise of {n} pixels"
+        return motion
+
+
+@contextmanager
+def _jumped(world: Map, T_new_old: F64) -> Iterator[None]:
+    """Let a map lie elsewhere for a while, as after a correction that moved all of it by a motion (4, 4)."""
+    columns = world.keyframes.T_world_cam, world.points.position_m, world.points.normal
+    before = [column.copy() for column in columns]
+    columns[0][:] = T_new_old @ before[0]
+    columns[1][:] = se3.transform(T_new_old, before[1])
+    columns[2][:] = before[2] @ T_new_old[:3, :3].T
+    world.jumps.append(T_new_old)
+    try:
+        yield
+    finally:
+        world.jumps.pop()
+        for column, values in zip(columns, before, strict=True):
+            column[:] = values

@@ -220,6 +220,20 @@ def test_what_comes_to_stand_where_it_was_free_is_doubted_first_and_shown_in_the
     assert n_near(mapper, 1.5) > 500
 
 
+def test_what_was_free_is_still_known_after_the_map_has_jumped() -> None:
+    """As when two sub-maps are joined, which lie half a kilometre apart."""
+    world = still()
+    mapper = replace(FULL, carving=CarvingConfig(every=1)).build(CAMERA, world)
+    frames(mapper, flat(3.0), 0, 12, keyframes=True)
+    jump = pose(500.0, 1.0, 0.5, turn=(0.0, 0.7, 0.0))
+    world.keyframes.T_world_cam[:] = jump @ world.keyframes.T_world_cam
+    mapper.refresh()
+    mapper.integrate(12, image(with_block()))
+    z_m = se3.transform(se3.inverse(jump), mapper.cloud().positions_m.astype(np.float64))[:, 2]
+    assert np.sum(np.abs(z_m - 3.0) < 0.1) > 2000
+    assert not np.any(np.abs(z_m - 1.5) < 0.1)
+
+
 def test_without_removal_nothing_is_carved() -> None:
     mapper = PLAIN.build(CAMERA, still())
     frames(mapper, with_block(), 0, 2, keyframes=True)

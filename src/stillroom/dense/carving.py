@@ -80,6 +80,10 @@ class Carver:
         """Memory that is held."""
         return self._witnesses.n_bytes
 
+    def refresh(self) -> None:
+        """Follow the keyframes to where they are now: earlier images are asked about what they see from there."""
+        self._witnesses.refresh(self.world)
+
     def in_view(self, block_keys: I64, T_world_cam: F64) -> Bool:
         """Tell of blocks (B,) whether a camera at a pose (4, 4) may see into them."""
         centres_m = block_centres_m(block_keys, self.voxels.voxel_m)

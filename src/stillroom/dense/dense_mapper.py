@@ -174,6 +174,7 @@ class DenseMapper:
 
     def refresh(self) -> None:
         """Fuse all keyframes anew whose poses in the map have changed, culled ones too."""
+        self._carver.refresh()
         self._correct(None)
 
     def cloud(self) -> DenseCloud:

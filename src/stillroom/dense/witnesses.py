@@ -78,6 +78,11 @@ class Witnesses:
             self._all = [self._all[i] for i in kept]
             self._T_cam_world[: len(kept)] = self._T_cam_world[kept]
 
+    def refresh(self, world: Map) -> None:
+        """Bring all to where their keyframes are now; `choose` does so only for those that it returns."""
+        for i, witness in enumerate(self._all):
+            self._T_cam_world[i] = se3.inverse(world.keyframe_pose(witness.keyframe) @ witness.T_keyframe_cam)
+
     def choose(self, points_m: F32, far_m: float, n: int, world: Map) -> list[tuple[F64, U16]]:
         """Return pose and depth of at most `n` that have points in view, spread over time, placed by the map.
 

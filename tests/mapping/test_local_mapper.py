@@ -135,6 +135,19 @@ def test_in_the_end_the_whole_map_comes_to_rest_unless_it_is_too_large() -> None
     assert found_m[0] > 0.006
 
 
+@pytest.mark.parametrize("has_loop", [True, False])
+def test_a_larger_map_comes_to_rest_as_well_where_a_loop_was_closed(has_loop: bool) -> None:
+    config = LocalMapperConfig(cull_keyframes=False, max_final_keyframes=0, max_final_keyframes_looped=len(PATH))
+    world, mapper, _ = walked(config)
+    world.loop_edges[:] = [(0, len(PATH) - 1)] if has_loop else []
+    # A bend of the whole way, as it is left after a loop: no two neighbours are off by much.
+    for k in range(1, len(PATH)):
+        world.keyframes.T_world_cam[k] = PATH[k] @ se3.exp(k / len(PATH) * np.array([0.02, -0.01, 0.01, 0, 0.01, 0]))
+    mapper.finish()
+    off_m = max(np.linalg.norm(world.keyframe_pose(k)[:3, 3] - PATH[k][:3, 3]) for k in range(len(PATH)))
+    assert off_m < 0.003 if has_loop else off_m > 0.015
+
+
 def test_a_map_that_was_only_looked_at_stays_as_it_is() -> None:
     world, _, _ = walked(LocalMapperConfig(cull_keyframes=False))
     world.keyframes.T_world_cam[2] = PATH[2] @ se3.exp(np.full(6, 0.004))

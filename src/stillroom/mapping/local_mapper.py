@@ -25,6 +25,11 @@ class LocalMapperConfig:
         cull_keyframes: Whether redundant keyframes are removed.
         max_final_keyframes: When the run ends, the whole map is adjusted once more if it has no more keyframes than
             this; 0 leaves it as it is, as ORB-SLAM2 does.
+        max_final_keyframes_looped: The same for a map in which loops were closed. Where no place was seen twice, a
+            large map gains nothing by it; where one was, what came after the loop mends the way that led there.
+        bundle: The optimiser around a new keyframe, and of the whole map without loops.
+        looped_bundle: That of a whole map with loops. It starts almost undamped: what damping holds back first is
+            what the map does as a whole.
     """
 
     th_depth: float = 40.0
@@ -32,7 +37,9 @@ class LocalMapperConfig:
     max_bundle_keyframes: int = 20
     cull_keyframes: bool = True
     max_final_keyframes: int = 200
+    max_final_keyframes_looped: int = 600
     bundle: BundleConfig = field(default_factory=BundleConfig)
+    looped_bundle: BundleConfig = field(default_factory=lambda: BundleConfig(first_damping=1e-8))
 
     def build(self, camera: Camera, world: Map) -> "LocalMapper":
         """Return the mapper of a map."""
@@ -45,7 +52,7 @@ class LocalMapper:
     def __init__(self, config: LocalMapperConfig, camera: Camera, world: Map) -> None:
         """Start with the points on trial that an earlier run left."""
         self.config, self.camera, self.world = config, camera, world
-        self._adjust = config.bundle.build()
+        self._adjust, self._adjust_looped = config.bundle.build(), config.looped_bundle.build()
         self._close_depth_m = config.th_depth * camera.baseline_m
         self._on_trial = on_trial(world)
         self._has_inserted = False
@@ -87,5 +94,7 @@ class LocalMapper:
 
         A map to which nothing was added stays as it is. Differs from ORB-SLAM2, which does this after a loop only.
         """
-        if self._has_inserted and len(self.world.alive_keyframes()) <= self.config.max_final_keyframes:
-            adjust_all(self.camera, self._adjust, self.world)
+        config, has_loops = self.config, bool(self.world.loop_edges)
+        most = config.max_final_keyframes_looped if has_loops else config.max_final_keyframes
+        if self._has_inserted and len(self.world.alive_keyframes()) <= most:
+            adjust_all(self.camera, self._adjust_looped if has_loops else self._adjust, self.world)

@@ -14,6 +14,8 @@ from stillroom.benchmark.geometry.truth_onlooker import MovingThings
 from stillroom.cli.bench import app
 from stillroom.datasets.open import open_dataset
 from stillroom.methods.registry import configure
+from stillroom.semantics.masks.pspnet import PspNetConfig
+from stillroom.semantics.nothing import NothingConfig
 
 CARRIED = "synthetic:carried,frames=220"
 FRAMES = "196:216"
@@ -89,6 +91,9 @@ def test_the_rows_differ_in_what_decides() -> None:
     rows = ablation(configure("pspnet-slam"))
     assert len(rows) == len({repr(config) for config in rows.values()}) == 9
     assert rows["the preset"] == configure("pspnet-slam")
+    networks = [config.semantics for config in rows.values() if not isinstance(config.semantics, NothingConfig)]
+    assert len(networks) == 7
+    assert all(isinstance(network, PspNetConfig) and network.model is None for network in networks), "nothing to fetch"
     assert {config.low_cost for config in rows.values()} == {configure("pspnet-slam").low_cost}
     assert rows["both, every point"].dynamics.search == "exhaustive"
     ants = rows["both, ants"].dynamics

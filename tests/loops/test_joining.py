@@ -13,7 +13,7 @@ from stillroom.data.map import Map, submaps
 from stillroom.features.places.place_memory import PlaceMemory
 from stillroom.geometry import se3
 from stillroom.loops.joining import JoiningConfig, SubmapJoiner
-from stillroom.loops.recognition.verification import Loop
+from stillroom.loops.recognition.verification import Loop, VerificationConfig
 
 BEFORE = [pose(0.1 * k, turn=(0, 0.03 * k, 0)) for k in range(5)]
 AFTER = [pose(0.1 * k + 0.05, 0.04, turn=(0, 0.03 * k, 0.02)) for k in range(5)]
@@ -39,10 +39,15 @@ class Pieces:
         return float(np.linalg.norm(off[:, :3, 3], axis=1).max()), float(se3.angle_rad(off).max())
 
 
-def pieces(other_room: bool = False) -> Pieces:
+ROOM = SmallWorld.of(0, 900)
+OTHER_ROOM = SmallWorld.of(1, 900)
+REARRANGED = replace(OTHER_ROOM, descriptors=ROOM.descriptors, angle_rad=ROOM.angle_rad)
+"""Another room with the same things in it."""
+
+
+def pieces(world: SmallWorld = ROOM) -> Pieces:
     """The second piece is mapped by a camera that knows nothing of the first; in the same room or in another."""
-    first = SmallWorld.of(0, 900)
-    world = SmallWorld.of(1, 900) if other_room else first
+    first = ROOM
     small = SmallMap.of(first, BEFORE, noise_px=0.3, flips=6)
     numbers = small.number_of().tolist()
     ids = np.full(len(world.points_m), -1, np.int32)
@@ -101,13 +106,25 @@ def test_the_younger_piece_moves_whichever_recognises_the_other() -> None:
     assert made.map.keyframes.parent[len(BEFORE)] == len(BEFORE) - 1
 
 
-def test_pieces_of_different_rooms_stay_apart() -> None:
-    made = pieces(other_room=True)
+@pytest.mark.parametrize("room", [OTHER_ROOM, REARRANGED], ids=["another", "the same things elsewhere"])
+def test_pieces_of_different_rooms_stay_apart(room: SmallWorld) -> None:
+    made = pieces(room)
     before = contents(made.map)
     joiner = made.joiner()
     assert not any(joiner.join(k) for k in range(len(BEFORE) + len(AFTER)))
     check_same(made.map, before)
     assert made.followed == []
+
+
+def test_it_is_the_arrangement_that_tells_rooms_with_the_same_things_apart() -> None:
+    """What the test above relies on: by their descriptors the things of the rearranged room match all the same."""
+    newest, n_matches = len(BEFORE) + len(AFTER) - 1, []
+    for room in (ROOM, REARRANGED, OTHER_ROOM):
+        made = pieces(room)
+        match = made.joiner()._verifier._by_descriptors
+        n_matches.append(max(len(match(newest, k, made.places.index, made.map)) for k in range(len(BEFORE))))
+    assert n_matches[1] > 0.5 * n_matches[0] > 100
+    assert n_matches[2] < VerificationConfig().min_matches
 
 
 def test_a_place_that_the_map_cannot_agree_with_is_taken_back() -> None:

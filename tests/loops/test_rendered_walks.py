@@ -99,7 +99,7 @@ def test_rooms_that_look_the_same_are_not_taken_for_one(monkeypatch: pytest.Monk
 def test_a_loop_of_66_m_takes_away_most_of_the_error(
     method: str, share: float, yolo_weights: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A figure who walks past carries `orb-slam2` along for a step: that is no drift, and a loop mends it in part."""
+    """`orb-slam2` is carried along by a figure who walks past: its map has that step wherever its adjustment starts."""
     spec = "synthetic:corridor,frames=1500"
     without = walk(spec, method, monkeypatch, "dense.kind=nothing", "loops.enabled=false").ate_m()
     seen = walk(spec, method, monkeypatch, "dense.kind=nothing")

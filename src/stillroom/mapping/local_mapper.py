@@ -37,7 +37,7 @@ class LocalMapperConfig:
     max_bundle_keyframes: int = 20
     cull_keyframes: bool = True
     max_final_keyframes: int = 200
-    max_final_keyframes_looped: int = 600
+    max_final_keyframes_looped: int = 1000
     bundle: BundleConfig = field(default_factory=BundleConfig)
     looped_bundle: BundleConfig = field(default_factory=lambda: BundleConfig(first_damping=1e-8))
 

@@ -33,7 +33,7 @@ class PspNetConfig:
     Attributes:
         model: A file of `stillroom export pspnet`; a bare name is sought in the models' usual places. Empty is the one
             that comes with Stillroom.
-        input: Size at which it sees images: "640x480", "512x384" for two thirds of the time, "320x240" for a quarter.
+        input: Size at which it sees images: "640x480", "512x384" for two thirds of the time, "320x240" for a third.
         movable: Names of the classes that may move, of the 21 of PASCAL VOC.
         named: Names of the classes that stand still unless somebody moves them; told of as boxes.
         probability: From here on a pixel is of a movable class; the movable classes' probabilities count together.

@@ -80,9 +80,19 @@ class Graph:
         """Add the mean over bins × bins parts, which overlap where the sides are no multiple; return its name."""
         if bins == 1:
             return self.add("ReduceMean", [value], to, axes=[2, 3], keepdims=1)
-        by_rows = self.add("MatMul", [self._parts(self.side(value, 2), bins), value])
+        # Columns first: one multiplication for all channels, where rows first are one for each.
         columns = self.add("Transpose", [self._parts(self.side(value, 3), bins)], perm=[1, 0])
-        return self.add("MatMul", [by_rows, columns], to)
+        by_columns = self.add("MatMul", [value, columns])
+        return self.add("MatMul", [self._parts(self.side(value, 2), bins), by_columns], to)
+
+    def enlarged(self, value: str, like: str, to: str = "") -> str:
+        """Add bilinear enlargement to the size of another value, pixels lying between their borders; return its name.
+
+        As two multiplications: for levels of a pyramid, of a few pixels, less work than ONNX's Resize makes of it.
+        """
+        rows, columns = (self._between(self.side(value, axis), self.side(like, axis)) for axis in (2, 3))
+        by_rows = self.add("MatMul", [rows, value])
+        return self.add("MatMul", [by_rows, self.add("Transpose", [columns], perm=[1, 0])], to)
 
     def model(self, inputs: str, outputs: Mapping[str, int], about: Mapping[str, str]) -> Any:
         """Return the model.
@@ -120,6 +130,24 @@ class Graph:
         share = self.add("Cast", [inside], to=self._types.FLOAT)
         count = self.add("Cast", [self.add("Sub", [last, first])], to=self._types.FLOAT)
         return self.add("Div", [share, count])
+
+    def _between(self, few: str, many: str) -> str:
+        """Return the name of a matrix (many, few) that interpolates linearly; beyond the outermost nothing changes."""
+        number, unit = self._count_to(many), self.numbers(1.0, np.float32)
+        few_float, many_float = (self.add("Cast", [side], to=self._types.FLOAT) for side in (few, many))
+        half = self.numbers(0.5, np.float32)
+        middle = self.add("Mul", [self.add("Add", [number, half]), self.add("Div", [few_float, many_float])])
+        last = self.add("Squeeze", [self.add("Sub", [few_float, unit])])
+        place = self.add("Clip", [self.add("Sub", [middle, half]), self.numbers(0.0, np.float32), last])
+        column = self.add("Unsqueeze", [place, self.numbers([1], np.int64)])
+        apart = self.add("Abs", [self.add("Sub", [column, self._count_to(few)])])
+        return self.add("Relu", [self.add("Sub", [unit, apart])])
+
+    def _count_to(self, side: str) -> str:
+        """Return the name of the numbers from 0 up to below a size (1,), as float32."""
+        zero, one = self.numbers(0, np.int64), self.numbers(1, np.int64)
+        counted = self.add("Range", [zero, self.add("Squeeze", [side]), one])
+        return self.add("Cast", [counted], to=self._types.FLOAT)
 
     def _name(self, kind: str) -> str:
         self._count += 1

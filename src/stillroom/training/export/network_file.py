@@ -28,8 +28,9 @@ from stillroom.training.networks.steps import (
 
 NORM_EPSILON = 1e-5
 OUTPUT_STRIDE = 4
-NOTHING_ELSE: Mapping[str, str] = {}
 """Image pixels per pixel of the scores that the file tells."""
+
+NOTHING_ELSE: Mapping[str, str] = {}
 
 
 def onnx_model(
@@ -53,11 +54,7 @@ def onnx_model(
     if absent:
         raise WeightsError(f"the network's weights lack '{absent[0]}'")
     network, weights = slim(network, weights)
-    graph = Graph(half)
-    names = {IMAGE: IMAGE}
-    for step in network.steps:
-        if not step.to.startswith(AUXILIARY):
-            names[step.to] = _written(graph, step, names, weights)
+    graph, names = written(network, weights, half)
     size = graph.size(names[LOGITS])
     times = network.stride // OUTPUT_STRIDE
     if network.corners:
@@ -95,7 +92,17 @@ def write_onnx(
         raise WeightsError(f"{path}: cannot be written ({error.strerror or error})") from error
 
 
-def _written(graph: Graph, step: Step, names: Mapping[str, str], weights: Mapping[str, F32]) -> str:
+def written(network: Architecture, weights: Mapping[str, F32], half: bool) -> tuple[Graph, dict[str, str]]:
+    """Return a graph of all steps but the auxiliary head's, and under which name each step's value goes there."""
+    graph = Graph(half)
+    names = {IMAGE: IMAGE}
+    for step in network.steps:
+        if not step.to.startswith(AUXILIARY):
+            names[step.to] = _step_written(graph, step, names, weights)
+    return graph, names
+
+
+def _step_written(graph: Graph, step: Step, names: Mapping[str, str], weights: Mapping[str, F32]) -> str:
     match step:
         case Conv():
             return _convolution(graph, step, names, weights)
@@ -104,7 +111,7 @@ def _written(graph: Graph, step: Step, names: Mapping[str, str], weights: Mappin
         case Pyramid():
             return graph.pooled(names[step.source], step.bins)
         case Enlarge():
-            return graph.resized(names[step.source], graph.size(names[step.like]), corners=False)
+            return graph.enlarged(names[step.source], names[step.like])
         case Concat():
             return graph.add("Concat", [names[source] for source in step.sources], axis=1)
         case Add():

@@ -10,6 +10,7 @@ import numpy as np
 
 from stillroom.errors import WeightsError
 from stillroom.geometry.arrays import F32, U8
+from stillroom.semantics.masks.network import on_one_thread
 
 LONGER_SIDES_PX = (513,)
 """Sizes at which the teacher looks at a picture; what it says is averaged over them, and over the mirrored picture."""
@@ -83,12 +84,7 @@ def _shrunk(likely: F32, columns: int, rows: int) -> F32:
 
 
 def _session(path: Path) -> Any:
-    import onnxruntime
-
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = options.inter_op_num_threads = 1
-    options.log_severity_level = 3
     try:
-        return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+        return on_one_thread(str(path))
     except Exception as error:
         raise WeightsError(f"{path}: cannot be read as an ONNX network") from error

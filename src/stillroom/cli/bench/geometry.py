@@ -95,7 +95,7 @@ def ablation(
     On rendered sequences it also counts what is found of all that moves, and of what somebody carries or pushes, which
     no network names.
 
-    Nine runs of each sequence, with the network that comes with Stillroom: 560 images take some seven minutes of one
+    Nine runs of each sequence, with the network that comes with Stillroom: 560 images take some six minutes of one
     core, longer when kernels are compiled first.
     """
     configs = _chosen(combining.ablation(configure(method, None, settings or ())), only)

@@ -1,6 +1,5 @@
 """What a frame costs does not grow with the length of the run."""
 
-import resource
 import time
 from collections.abc import Callable, Iterator
 
@@ -11,6 +10,7 @@ from larger_map import add_far_copies
 
 from stillroom.data.result import FrameResult
 from stillroom.datasets.synthetic import SyntheticRoom, open_synthetic
+from stillroom.evaluation.timing import peak_memory_mb
 from stillroom.methods.registry import configure
 from stillroom.system import Slam, build
 
@@ -80,7 +80,7 @@ def test_ten_thousand_frames_cost_the_same_to_the_last(record_property: Callable
     mean_ms = 1e3 * np.array([seconds for _, seconds in outcome]).reshape(10, 1000).mean(axis=1)
     record_property("ms a frame, by thousands", np.round(mean_ms, 1).tolist())
     record_property("bytes of map a keyframe", map_bytes(slam) / len(slam.map.keyframes))
-    record_property("peak memory MB", resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3)
+    record_property("peak memory MB", peak_memory_mb())
     assert sum(result.T_world_cam is None for result, _ in outcome) == 0
     assert mean_ms[-1] <= 1.2 * mean_ms[1], mean_ms
     assert map_bytes(slam) / len(slam.map.keyframes) < 300_000

@@ -362,6 +362,7 @@ def test_an_image_that_moves_all_over_adds_nothing() -> None:
     assert len(mapper.cloud()) == 0
 
 
+@pytest.mark.filterwarnings("ignore:invalid value encountered in matmul")
 @pytest.mark.parametrize("where", [np.nan, np.inf, 1e9])
 def test_impossible_poses_are_passed_over(where: float) -> None:
     world = still(4)

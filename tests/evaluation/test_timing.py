@@ -1,6 +1,9 @@
 """The clock against work of known length, the file it writes, and the unit."""
 
 import csv
+import os
+import subprocess
+import sys
 import threading
 import time
 from pathlib import Path
@@ -9,7 +12,7 @@ import cv2
 import numpy as np
 import pytest
 
-from stillroom.evaluation.timing import FRAME, StageClock, peak_memory_mb, unit_ms
+from stillroom.evaluation.timing import FRAME, PROCESS_STATUS, StageClock, peak_memory_mb, unit_ms
 
 
 def burn(cpu_ms: float) -> str:
@@ -131,3 +134,13 @@ def test_the_unit_is_what_orb_costs_and_threads_are_left_as_they_were() -> None:
 def test_peak_memory_covers_what_was_held() -> None:
     held = np.ones(20_000_000)  # 160 MB
     assert held.nbytes / 1e6 < peak_memory_mb() < 50_000
+
+
+@pytest.mark.skipif(not PROCESS_STATUS.exists(), reason="only Linux tells a program's own peak from its parent's")
+def test_peak_memory_is_the_programs_own_whoever_started_it() -> None:
+    held = np.ones(600_000_000, dtype=np.uint8)
+    asks = "from stillroom.evaluation.timing import peak_memory_mb; print(peak_memory_mb())"
+    # With something to do before it begins, a child is a copy of this process first.
+    child = subprocess.run([sys.executable, "-c", asks], check=True, capture_output=True, preexec_fn=os.getpid)
+    assert peak_memory_mb() > held.nbytes / 1e6
+    assert float(child.stdout) < 0.7 * held.nbytes / 1e6

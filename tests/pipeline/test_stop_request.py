@@ -1,9 +1,11 @@
 """Ctrl-C, once, twice, and while the results are being written."""
 
 import importlib
+import io
 import logging
 import signal
 import threading
+import time
 from pathlib import Path
 
 import pytest
@@ -40,6 +42,42 @@ def test_while_held_none_interrupts(caplog: pytest.LogCaptureFixture) -> None:
             press()
         assert stop.asked
     assert "being written" in caplog.text
+
+
+class Pressed(io.RawIOBase):
+    """Something to write to, on which Ctrl-C is pressed in the middle of the first line."""
+
+    def __init__(self) -> None:
+        self.written = b""
+
+    def writable(self) -> bool:
+        return True
+
+    def write(self, part: bytes) -> int:
+        if not self.written:
+            self.written = b"|"
+            press()
+            time.sleep(0.01)
+        self.written += bytes(part)
+        return len(part)
+
+
+def test_in_the_middle_of_a_line_it_is_told_after_the_line() -> None:
+    """Writers of Python refuse to be called from within themselves, which would end the run."""
+    raw = Pressed()
+    stderr = io.TextIOWrapper(io.BufferedWriter(raw), write_through=True)
+    handler = logging.StreamHandler(stderr)
+    logger = logging.getLogger("stillroom")
+    logger.addHandler(handler)
+    try:
+        with StopRequest() as stop:
+            print("27/270  54.3 frames/s", file=stderr, flush=True)
+            assert stop.asked
+    finally:
+        logger.removeHandler(handler)
+    lines = raw.written.decode().lstrip("|").split("\n")
+    assert lines[0] == "27/270  54.3 frames/s"
+    assert any("stopping after this frame" in line for line in lines[1:])
 
 
 def test_on_another_thread_it_does_nothing() -> None:

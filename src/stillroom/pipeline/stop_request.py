@@ -20,6 +20,7 @@ class StopRequest:
         self.asked = False
         self._is_held = False
         self._previous: Any = None
+        self._tellers: list[threading.Thread] = []
 
     def __enter__(self) -> "StopRequest":
         """Listen."""
@@ -33,6 +34,8 @@ class StopRequest:
         """Give the signal back to whoever had it."""
         if self._previous is not None:
             signal.signal(signal.SIGINT, self._previous)
+        for teller in self._tellers:
+            teller.join()
 
     def hold(self) -> None:
         """From now on let no Ctrl-C interrupt: what was tracked is being written."""
@@ -41,10 +44,20 @@ class StopRequest:
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
         if self._is_held:
             self.asked = True
-            log.warning("the results are being written, which takes a moment")
+            self._tell("the results are being written, which takes a moment")
             return
         if self.asked:
             self.hold()  # Or a third one could come before the results are begun.
             raise KeyboardInterrupt
         self.asked = True
-        log.warning("stopping after this frame; Ctrl-C again stops at once")
+        self._tell("stopping after this frame; Ctrl-C again stops at once")
+
+    def _tell(self, text: str) -> None:
+        """Warn from another thread.
+
+        A signal may come in the middle of a line that this thread is writing to where the warning goes, and a writer
+        must not be called again from within itself.
+        """
+        teller = threading.Thread(target=log.warning, args=(text,))
+        self._tellers.append(teller)
+        teller.start()

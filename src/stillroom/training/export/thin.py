@@ -37,13 +37,15 @@ def thin(network: Architecture, weights: Mapping[str, F32], share: float, pictur
         pictures: Inputs of the network (1, 3, H, W), of the kind that it will see.
 
     Raises:
-        ConfigError: The share is impossible.
+        ConfigError: The share is impossible, or more than can be left out of this network.
+        DatasetError: There are no pictures.
     """
     if not 0.0 <= share <= MOST:
         raise ConfigError(f"thin is {share}; it must be from 0 to {MOST}")
     used = tuple(step for step in network.steps if not step.to.startswith(AUXILIARY))
     network, weights = slim(replace(network, steps=used), weights)
     found = spaces(network)
+    _check_room(network, found, share)
     seen_at = {space.value: _read_at(network, space) for space in found}
     values = dict.fromkeys([*seen_at, *(value for places in seen_at.values() for value in places.values())])
     moments = second_moments(network, weights, list(values), pictures)
@@ -52,6 +54,20 @@ def thin(network: Architecture, weights: Mapping[str, F32], share: float, pictur
     for problem, stays in zip(problems, _shared_out(problems, spared), strict=True):
         network, weights = _without(network, weights, problem, stays)
     return network, weights
+
+
+def _check_room(network: Architecture, found: list[Space], share: float) -> None:
+    """Refuse to spare more than lies in spaces that can be narrowed; with batch norm there are none."""
+    most = sum(LOT * _most_lots(space) * space.work for space in found) / sum(work_of(network).values())
+    if share > most:
+        raise ConfigError(
+            f"thin is {share}; of {network.name} at most {most:.2f} can be spared"
+            + ("" if found else ", as its convolutions have batch norm")
+        )
+
+
+def _most_lots(space: Space) -> int:
+    return int(MOST * space.channels) // LOT
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,16 +159,13 @@ def _shared_out(problems: list[_Problem], spared: float) -> list[Bool]:
     """Return which channels of each space stay: they go lot by lot where the least is lost for the work."""
     orders, losses = [], []
     for problem in problems:
-        lots = int(MOST * problem.space.channels) // LOT
-        gone, lost = removals(problem.moments, problem.read, lots * LOT)
+        gone, lost = removals(problem.moments, problem.read, LOT * _most_lots(problem.space))
         orders.append(gone)
         losses.append(np.diff(lost[LOT - 1 :: LOT], prepend=0.0) / (LOT * problem.space.work))
     taken = [0] * len(problems)
     while spared > 0.0:
         rates = [loss[n] if n < len(loss) else np.inf for loss, n in zip(losses, taken, strict=True)]
         least = int(np.argmin(rates))
-        if not np.isfinite(rates[least]):
-            break
         taken[least] += 1
         spared -= LOT * problems[least].space.work
     return [

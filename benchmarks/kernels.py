@@ -3,7 +3,7 @@
 A unit is one `cv2.ORB_create(1000).detectAndCompute` on the same frames in the same process, taken in turn with the
 rest. Without a sequence the frames are rendered, and a unit is then dearer or cheaper than on real frames.
 
-    OMP_NUM_THREADS=1 python benchmarks/kernels.py ../shared/data/rgbd_bonn_crowd_first560
+    OMP_NUM_THREADS=1 python benchmarks/kernels.py "$STILLROOM_DATA"/rgbd_bonn_crowd_first560
 """
 
 import argparse

@@ -2,8 +2,8 @@
 
 A second network's person masks (DeepLabv3, VOC class 15) stand for the truth, which no real sequence brings.
 
-    python benchmarks/person_coverage.py ../shared/data/rgbd_bonn_crowd_first560 \
-        ../shared/models/deeplabv3_mobilenetv2_voc.onnx --frames 200:560
+    python benchmarks/person_coverage.py "$STILLROOM_DATA"/rgbd_bonn_crowd_first560 \
+        "$STILLROOM_MODELS"/deeplabv3_mobilenetv2_voc.onnx --frames 200:560
 """
 
 import argparse

@@ -1,8 +1,8 @@
 """Print how well PSPNet finds people, how empty it leaves an empty room, and what it costs; draw its masks.
 
-    OMP_NUM_THREADS=1 python benchmarks/pspnet.py --people ../shared/data/person_masks \
-        --bonn ../shared/data/rgbd_bonn_crowd_first560 \
-        --teacher ../shared/models/deeplabv3_mobilenetv2_voc.onnx --picture docs/images/pspnet_bonn.jpg
+    OMP_NUM_THREADS=1 python benchmarks/pspnet.py --people "$STILLROOM_DATA"/person_masks \
+        --bonn "$STILLROOM_DATA"/rgbd_bonn_crowd_first560 \
+        --teacher "$STILLROOM_MODELS"/deeplabv3_mobilenetv2_voc.onnx --picture docs/images/pspnet_bonn.jpg
 
 Person IoU is that of the pictures held out of training, every fifth in sorted order. The 50 frames without people are
 every fourth of Bonn's first 200. No sequence brings true masks, so a careful reference stands for them on 20 frames

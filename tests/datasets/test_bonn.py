@@ -24,7 +24,7 @@ def test_the_calibration_is_a_rigid_motion_near_the_published_matrix() -> None:
     R = T_marker_cam[:3, :3]
     assert np.abs(R @ R.T - np.eye(3)).max() < 1e-12
     assert np.linalg.det(R) == pytest.approx(1.0)
-    # REFERENCE 2.10: a scale of about 1.059, and a lever arm of 1.86 cm.
+    # docs/reference.md#bonn-ground-truth: a scale of about 1.059, and a lever arm of 1.86 cm.
     assert np.abs(SCALED_T_MARKER_CAM[:3, :3] / 1.059 - R).max() < 1e-3
     assert np.linalg.norm(T_marker_cam[:3, 3]) == pytest.approx(0.0186, abs=1e-4)
 

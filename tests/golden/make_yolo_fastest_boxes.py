@@ -4,7 +4,7 @@ Nothing here is shared with the package: OpenCV 4 reads darknet's files itself, 
 network layer by layer, batch normalisation unfolded, from the cfg and weights' own numbers.
 
     python -m venv /tmp/opencv4 && /tmp/opencv4/bin/pip install "opencv-python-headless<5" ncnn
-    /tmp/opencv4/bin/python tests/golden/make_yolo_fastest_boxes.py ../shared/data ../shared/models/yolo_fastest
+    /tmp/opencv4/bin/python tests/golden/make_yolo_fastest_boxes.py "$STILLROOM_DATA" "$STILLROOM_MODELS"/yolo_fastest
 """
 
 import json

@@ -73,7 +73,7 @@ def test_pspnet_slam_is_masks_a_homography_and_segments_that_move() -> None:
 def test_dynaslam_is_masks_and_multi_view_geometry_and_each_alone() -> None:
     both, network, geometry = (method(name).config for name in ("dynaslam", "dynaslam-n", "dynaslam-g"))
     assert (both.dynamics, both.low_cost) == (MultiViewConfig(), LowCostConfig())
-    assert both.semantics.regions.dilate_px == 15  # type: ignore[attr-defined] # REFERENCE 2.1
+    assert both.semantics.regions.dilate_px == 15  # type: ignore[attr-defined] # docs/reference.md#dynaslam
     assert (network.semantics, network.keypoints) == (both.semantics, both.keypoints)
     assert (network.dynamics, network.low_cost) == (MultiViewConfig(geometry=False), NoLowCostConfig())
     assert (geometry.semantics, geometry.keypoints) == (NothingConfig(), KeepAllKeypointsConfig())

@@ -1,4 +1,4 @@
-"""How exact several methods are over several seeds. One run proves nothing (REFERENCE 1.6)."""
+"""How exact several methods are over several seeds. One run proves nothing (docs/reference.md#comparing-figures)."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass

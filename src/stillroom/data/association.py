@@ -7,14 +7,15 @@ import numpy as np
 from stillroom.geometry.arrays import F64, I64
 
 TUM_MAX_GAP_S = 0.02
-"""The largest gap that TUM's tools let pass (REFERENCE 3)."""
+"""The largest gap that TUM's tools let pass (docs/reference.md#tum-rgb-d-association)."""
 
 
 def associate(first_s: F64, second_s: F64, max_gap_s: float = TUM_MAX_GAP_S) -> tuple[I64, I64]:
     """Pair times one to one, the smallest gaps first.
 
-    One to one matters: nearest-neighbour pairing uses one depth image twice and leaves another out, and pairs
-    with gaps several times as large (REFERENCE 4). Pairs never cross in time, so both results are in order.
+    One to one matters: nearest-neighbour pairing uses one depth image twice and leaves another out, and pairs with
+    gaps several times as large (docs/reference.md#tum-rgb-d-association). Pairs never cross in time, so both results
+    are in order.
 
     Args:
         first_s: Times (N,) float64 [s], in any order.

@@ -2,7 +2,7 @@
 
 Its ground truth is the pose of a motion-capture marker body that rides on the camera, in a world with other axes. An
 alignment multiplies from the left and cannot undo either, so relative errors mean something only after
-`marker_to_camera` (REFERENCE 2.10).
+`marker_to_camera` (docs/reference.md#bonn-ground-truth).
 """
 
 from dataclasses import replace
@@ -31,7 +31,7 @@ SCALED_T_MARKER_CAM = np.array(
         [0.0, 0.0, 0.0, 1.0],
     ]
 )
-"""The marker's calibration as published: its 3×3 part is a rotation times about 1.059 (REFERENCE 2.10)."""
+"""The marker's calibration as published (docs/reference.md#bonn-ground-truth): a rotation times 1.059, and a lever arm."""
 
 
 def marker_calibration() -> F64:

@@ -10,7 +10,7 @@ from stillroom.geometry.camera import Camera
 CAMERA_FILE_NAME = "camera.toml"
 
 NAMED_CAMERAS: dict[str, Camera] = {
-    # Palazzolo et al., ReFusion, IROS 2019; values as SG-SLAM ships them (REFERENCE 2.10).
+    # Palazzolo et al., ReFusion, IROS 2019; values as SG-SLAM ships them (docs/reference.md#bonn-calibration).
     "bonn": Camera(
         width=640,
         height=480,
@@ -20,7 +20,8 @@ NAMED_CAMERAS: dict[str, Camera] = {
         cy=237.756098,
         distortion=(0.039903, -0.099343, -0.000730, -0.000144, 0.0),
     ),
-    # Sturm et al., IROS 2012; values as in ORB-SLAM2's TUM1.yaml, TUM2.yaml and TUM3.yaml.
+    # Sturm et al., IROS 2012; values as in ORB-SLAM2's TUM1.yaml, TUM2.yaml and TUM3.yaml
+    # (docs/reference.md#tum-rgb-d-calibration).
     "tum-freiburg1": Camera(
         width=640,
         height=480,

@@ -17,7 +17,7 @@ class MaskedKeypointsConfig:
 
     Attributes:
         border_px: Keypoints this near to the mask are dropped too [px]: a corner of the silhouette belongs to nobody
-            (REFERENCE 2.1). Segmenters grow their masks themselves; this comes on top.
+            (docs/reference.md#dynaslam). Segmenters grow their masks themselves; this comes on top.
         min_keypoints: The sieve is off where fewer keypoints than this would stay: such a frame is lost either way
             unless the mask is wrong.
     """

@@ -1,4 +1,4 @@
-"""OC-SLAM's epipolar sieve to the letter (paper 2.2)."""
+"""OC-SLAM's epipolar sieve to the letter (paper 2.2; docs/reference.md#oc-slam)."""
 
 from dataclasses import dataclass
 

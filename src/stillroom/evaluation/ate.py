@@ -17,7 +17,7 @@ class AbsoluteError:
     """How far the camera centres lie from the truth once one trajectory is laid upon the other.
 
     The classical tables align with SE(3), the learned systems' with Sim(3), which can only be lower
-    (REFERENCE 1.6): both are here.
+    (docs/reference.md#comparing-figures): both are here.
 
     Attributes:
         se3_m: Errors after a rigid alignment [m].

@@ -57,7 +57,8 @@ class Evaluation:
         n_given: Frames that the run was given; None where only a trajectory file is known.
         as_given: Figures against the ground truth as the data set gives it; this is the ATE that tables quote.
         at_camera: Figures against the ground truth moved to the camera, where the given one is of another body
-            (Bonn: a marker). Relative errors there mean something only with this one (REFERENCE 2.10).
+            (Bonn: a marker). Relative errors there mean something only with this one
+            (docs/reference.md#bonn-ground-truth).
         improvement: Against a baseline run, where one was named.
     """
 

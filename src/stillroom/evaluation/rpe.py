@@ -2,7 +2,8 @@
 
 Two conventions are in use and differ in more than the interval. TUM's evaluate_rpe.py, which the papers' m/s and
 deg/s come from, takes motions from the later pose to the earlier, looks up the ground truth for each pose by
-itself, and drops the pairs that end on the last pose. evo pairs the poses first and takes motions forward.
+itself, and drops the pairs that end on the last pose. evo pairs the poses first and takes motions forward
+(docs/reference.md#tum-rgb-d-evaluation).
 """
 
 from dataclasses import dataclass

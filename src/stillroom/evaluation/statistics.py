@@ -34,7 +34,7 @@ class Statistics:
 
 @dataclass(frozen=True)
 class Spread:
-    """One figure over several runs: what a result must be quoted with (REFERENCE 1.6)."""
+    """One figure over several runs: what a result must be quoted with (docs/reference.md#comparing-figures)."""
 
     median: float
     mean: float

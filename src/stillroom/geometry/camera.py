@@ -23,7 +23,7 @@ class Camera:
         distortion: k1 k2 p1 p2 k3, OpenCV's order.
         depth_factor: Units of the 16-bit depth image per metre.
         bf: Baseline of the virtual stereo pair times fx [px·m]: a depth d has the right coordinate u − bf/d
-            (ORB-SLAM2, REFERENCE: 40 for Kinect-like sensors).
+            (40 for Kinect-like sensors; docs/reference.md#orb-slam2-camera-and-features).
     """
 
     width: int

@@ -23,7 +23,7 @@ def on_trial(world: Map) -> I32:
 def cull_points(recent: I32, keyframe: int, world: Map) -> I32:
     """Remove recent points (P,) that are rarely found or, some keyframes on, hardly seen; return those on trial still.
 
-    An observation with depth counts as two (REFERENCE 2.6).
+    An observation with depth counts as two (docs/reference.md#orb-slam2-mapping).
     """
     points = world.points
     recent = recent[points.is_alive[recent]]

@@ -16,7 +16,7 @@ from stillroom.semantics.masks.regions import RegionsConfig
 from stillroom.tracking.low_cost import LowCostConfig
 
 DILATE_PX = 15
-"""How far DynaSLAM grows a mask (REFERENCE 2.1: an ellipse of 31 pixels)."""
+"""How far DynaSLAM grows a mask (docs/reference.md#dynaslam: an ellipse of 31 pixels)."""
 
 PAPER = "Bescos, Fácil, Civera and Neira, IEEE Robotics and Automation Letters 3(4), 2018"
 

@@ -1,7 +1,8 @@
 """Bundle adjustment: keyframes and points together, robust, with outliers told apart.
 
-After ORB-SLAM2's local bundle adjustment (Mur-Artal and Tardós 2017, section III-B; REFERENCE section 3):
-Levenberg–Marquardt with a Schur complement over the points.
+After ORB-SLAM2's local bundle adjustment (Mur-Artal and Tardós 2017, section III-B;
+docs/reference.md#orb-slam2-mapping): Levenberg–Marquardt with a Schur complement over the points. Why not a library:
+docs/reference.md#library-measurements.
 """
 
 from collections.abc import Callable

@@ -1,6 +1,7 @@
 """Pose-only optimisation: one camera against fixed points, robust, with outliers told apart.
 
-After ORB-SLAM2 (Mur-Artal and Tardós 2017, section III-B, motion-only bundle adjustment; REFERENCE section 3).
+After ORB-SLAM2 (Mur-Artal and Tardós 2017, section III-B, motion-only bundle adjustment;
+docs/reference.md#orb-slam2-tracking).
 """
 
 from dataclasses import dataclass

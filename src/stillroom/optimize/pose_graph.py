@@ -1,7 +1,7 @@
 """Pose-graph optimisation: keyframes held together by measured motions between pairs of them.
 
-ORB-SLAM2's essential graph (Mur-Artal and Tardós 2017, section III-C) with the scale fixed. The normal equations are
-sparse; scipy's SuperLU solves them.
+ORB-SLAM2's essential graph (Mur-Artal and Tardós 2017, section III-C; docs/reference.md#orb-slam2-loops) with the scale
+fixed. The normal equations are sparse; scipy's SuperLU solves them.
 """
 
 from collections.abc import Callable

@@ -1,7 +1,8 @@
 """Carry boxes on over the frames in which the detector misses them.
 
 A person at the edge of the image, half hidden or blurred is missed for some frames; features on a missed person are
-taken for static, which decides results (REFERENCE 2.5: CFP-SLAM without such compensation is five times worse).
+taken for static, which decides results: CFP-SLAM without such compensation is five times worse
+(docs/reference.md#cfp-slam).
 """
 
 from dataclasses import dataclass, field

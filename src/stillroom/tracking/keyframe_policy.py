@@ -10,7 +10,7 @@ from stillroom.data.result import Recovery, Tracked, TrackingState
 
 @dataclass(frozen=True)
 class KeyframePolicyConfig:
-    """After ORB-SLAM2's RGB-D rules (REFERENCE 2.6), for a mapper that is always ready.
+    """After ORB-SLAM2's RGB-D rules (docs/reference.md#orb-slam2-keyframes), for a mapper that is always ready.
 
     Differs from ORB-SLAM2: the share is taken of all points that the reference keyframe sees, not of those that other
     keyframes see too. Right after a keyframe the latter are few, and the next keyframe comes too late when the camera

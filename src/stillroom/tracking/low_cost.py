@@ -42,7 +42,7 @@ class NoLowCost:
 
 @dataclass(frozen=True)
 class LowCostConfig:
-    """When low-cost tracking trusts what it found (REFERENCE 2.1).
+    """When low-cost tracking trusts what it found (docs/reference.md#dynaslam).
 
     Attributes:
         window_px: Search window around a point's projection; doubled when too little is found.

@@ -23,7 +23,7 @@ MATCHING_RATIO = 0.75
 
 @dataclass(frozen=True)
 class RecognitionConfig:
-    """When a place is taken for recognised (ORB-SLAM2's numbers; REFERENCE 2.6).
+    """When a place is taken for recognised (ORB-SLAM2's numbers; docs/reference.md#orb-slam2-relocalization).
 
     Attributes:
         min_matches: Matches by words that a keyframe needs.

@@ -22,7 +22,7 @@ from stillroom.tracking.motion_model import ConstantVelocity
 
 @dataclass(frozen=True)
 class TrackerConfig:
-    """When tracking trusts what it found (ORB-SLAM2's numbers).
+    """When tracking trusts what it found (ORB-SLAM2's numbers; docs/reference.md#orb-slam2-tracking).
 
     Attributes:
         min_initial_keypoints: Static keypoints with depth that a first frame must have.

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from stillroom.benchmark.geometry.onlooker import Shown
-from stillroom.dynamics.homography.point_test import DYNAMIC, UNKNOWN
+from stillroom.dynamics.homography.point_motion import DYNAMIC, UNKNOWN
 from stillroom.geometry.arrays import U8
 from stillroom.geometry.camera import Camera
 from stillroom.viz.film.contact_sheet import contact_sheet

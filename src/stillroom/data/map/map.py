@@ -182,7 +182,7 @@ class Map:
     def remove_observations(self, rows: Ints) -> None:
         """Let rows (N,) see nothing; of these points those with at most two observations left are removed.
 
-        One with depth counts as two (REFERENCE 2.6), so one view that is left is never enough.
+        One with depth counts as two (docs/reference.md#orb-slam2-mapping), so one view that is left is never enough.
         """
         touched = np.unique(self.keypoints.point[rows])
         self._unlink(rows)

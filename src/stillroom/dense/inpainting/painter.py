@@ -27,7 +27,7 @@ class InpaintingConfig:
 
     Attributes:
         keyframes: How many of the last keyframes are painted from.
-        min_depth_m: Nearer than this no pixel is brought (REFERENCE 2.1).
+        min_depth_m: Nearer than this no pixel is brought (docs/reference.md#dynaslam).
         same_share: What lies behind the nearest surface by no more than this share of its depth is the same surface.
         margin_px: How far around what moves pixels are painted too, and keyframes' not used: depth ends there ragged.
         least_weight: A pixel is filled when at least this much of a pixel, bilinear shares added, fell on it.

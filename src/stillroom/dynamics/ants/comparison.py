@@ -1,4 +1,7 @@
-"""What the search saves, and what it misses, against testing every point (PSPNet-SLAM, Table 2)."""
+"""What the search saves, and what it misses, against testing every point.
+
+PSPNet-SLAM's Table 2 (docs/reference.md#pspnet-slam).
+"""
 
 import time
 from collections.abc import Callable, Mapping, Sequence

@@ -24,7 +24,8 @@ class CompensationConfig:
     Attributes:
         n_probes: Keypoints, spread over what may not move, that are followed to the earlier image.
         inlier_px: Largest residual of a pair that agrees with the homography [px].
-        magsac: Whether MAGSAC finds it, which polishes its answer; else RANSAC by the book.
+        magsac: Whether MAGSAC finds it, which polishes its answer; else RANSAC by the book, slower and with fewer
+            inliers (docs/reference.md#library-measurements).
         refine: Whether Levenberg–Marquardt follows (Eq. 11): the compensated homography. Without, the plain one. It
             gains much on RANSAC's answer, on MAGSAC's little.
         symmetric: Whether it counts the error in both images.

@@ -8,7 +8,7 @@ import numpy as np
 
 from stillroom.data.frame import Frame
 from stillroom.data.image import RgbdImage
-from stillroom.dynamics.homography.point_test import View
+from stillroom.dynamics.homography.point_motion import View
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64, U8
 

@@ -17,7 +17,7 @@ from stillroom.dynamics.ants.search import Found, ReverseSearchConfig, exhaustiv
 from stillroom.dynamics.enough import or_less
 from stillroom.dynamics.homography.compensation import CameraMotion, Compensation, CompensationConfig
 from stillroom.dynamics.homography.past import Past, view_of
-from stillroom.dynamics.homography.point_test import DYNAMIC, UNKNOWN, PointTest, PointTestConfig, View
+from stillroom.dynamics.homography.point_motion import DYNAMIC, UNKNOWN, PointTest, PointTestConfig, View
 from stillroom.errors import ConfigError
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F32, F64, I64, U8, Bool

@@ -1,4 +1,4 @@
-"""DynaSLAM's own numbers: the paper's, and those of its code (REFERENCE 2.1)."""
+"""DynaSLAM's own numbers: the paper's, and those of its code (docs/reference.md#dynaslam)."""
 
 from dataclasses import dataclass, field, replace
 

@@ -18,7 +18,7 @@ NEAREST, FARTHEST, SPREAD = "nearest", "farthest", "spread"
 CHOICES = (NEAREST, FARTHEST, SPREAD)
 
 DISTANCE_WEIGHT, ROTATION_WEIGHT = 0.7, 0.3
-"""How the two differences of pose count, each as a share of the largest (REFERENCE 2.1)."""
+"""How the two differences of pose count, each as a share of the largest (docs/reference.md#dynaslam)."""
 
 
 @dataclass(frozen=True)

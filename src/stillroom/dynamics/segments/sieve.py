@@ -19,7 +19,7 @@ from stillroom.dynamics.clusters.samples import Sampler
 from stillroom.dynamics.depth_history import STRIDE, ask
 from stillroom.dynamics.enough import or_less
 from stillroom.dynamics.homography.past import EarlierImage, Past, view_of
-from stillroom.dynamics.homography.point_test import DYNAMIC, STATIC, UNKNOWN, PointTest, PointTestConfig, View
+from stillroom.dynamics.homography.point_motion import DYNAMIC, STATIC, UNKNOWN, PointTest, PointTestConfig, View
 from stillroom.errors import ConfigError
 from stillroom.geometry import homography, se3
 from stillroom.geometry.arrays import F64, I64, Bool

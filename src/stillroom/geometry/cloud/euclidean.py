@@ -1,4 +1,7 @@
-"""Euclidean clusters, exactly: the connected components of "not further apart than the tolerance"."""
+"""Euclidean clusters, exactly: the connected components of "not further apart than the tolerance".
+
+Why not a library: docs/reference.md#library-measurements.
+"""
 
 import numpy as np
 from numba import njit

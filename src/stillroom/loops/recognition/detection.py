@@ -13,7 +13,7 @@ from stillroom.loops.recognition.consistency import ConsistentGroups
 
 @dataclass(frozen=True)
 class DetectionConfig:
-    """When looks are taken for a hint (ORB-SLAM2's numbers).
+    """When looks are taken for a hint (ORB-SLAM2's numbers; docs/reference.md#orb-slam2-loops).
 
     Attributes:
         pause_keyframes: None among the first so many keyframes, nor so many after a loop.

@@ -22,7 +22,7 @@ _CHI2_RANSAC = 9.21
 
 @dataclass(frozen=True)
 class VerificationConfig:
-    """What makes a candidate a loop (ORB-SLAM2's numbers).
+    """What makes a candidate a loop (ORB-SLAM2's numbers; docs/reference.md#orb-slam2-loops).
 
     Attributes:
         min_matches: Matches of points by their descriptors.

@@ -1,9 +1,9 @@
 """Carry a mask from the image in which it is known to a later one: by dense flow, gated by depth.
 
-NGD-SLAM's mask propagation answers the same question (REFERENCE 2.4): erode, follow one corner in each cell of 15 px
-by flow, take what is within ±0.3 m of their median depth. Differs from it: dense inverse-search flow (Kroeger et al.,
-ECCV 2016) from image to image, with the border mended by depth at each step. It knows no corners, so that plain
-clothes do; and the mask keeps its shape, also where people stand one behind another.
+NGD-SLAM's mask propagation answers the same question (docs/reference.md#ngd-slam): erode, follow one corner in each
+cell of 15 px by flow, take what is within ±0.3 m of their median depth. Differs from it: dense inverse-search flow
+(Kroeger et al., ECCV 2016) from image to image, with the border mended by depth at each step. It knows no corners, so
+that plain clothes do; and the mask keeps its shape, also where people stand one behind another.
 """
 
 from dataclasses import dataclass

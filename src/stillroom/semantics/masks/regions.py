@@ -17,7 +17,8 @@ class RegionsConfig:
 
     Attributes:
         min_px: Smallest region that counts [px of the whole image].
-        dilate_px: By how much the mask is grown [px]; corners on a border belong to nobody (REFERENCE 2.1: 15).
+        dilate_px: By how much the mask is grown [px]; corners on a border belong to nobody (DynaSLAM: 15;
+            docs/reference.md#dynaslam).
         crowd_share, crowd_px: Where the grown mask would cover more than this share of the image, it is grown by no
             more than this: in a crowd, what is seen of the room is seen between people.
         boxes: Whether each region becomes a box, too; boxes are not grown.

@@ -9,7 +9,7 @@ import pytest
 from stillroom.data.image import RgbdImage
 from stillroom.dynamics.homography.past import view_of
 from stillroom.dynamics.homography.patches import N_PIXELS, find_patch
-from stillroom.dynamics.homography.point_test import DYNAMIC, STATIC, UNKNOWN, PointTest, PointTestConfig
+from stillroom.dynamics.homography.point_motion import DYNAMIC, STATIC, UNKNOWN, PointTest, PointTestConfig
 from stillroom.geometry import homography, se3
 from stillroom.geometry.camera import Camera
 

@@ -31,7 +31,7 @@ SCALED_T_MARKER_CAM = np.array(
         [0.0, 0.0, 0.0, 1.0],
     ]
 )
-"""The marker's calibration as published (docs/reference.md#bonn-ground-truth): a rotation times 1.059, and a lever arm."""
+"""The marker's calibration as published (docs/reference.md#bonn-ground-truth): a scaled rotation and a lever arm."""
 
 
 def marker_calibration() -> F64:

@@ -10,7 +10,7 @@ import pytest
 from red_network import red_config, reddened, save_red_network
 
 from stillroom.data.image import RgbdImage
-from stillroom.data.semantics import Box, Semantics
+from stillroom.data.semantics import Box, Instance, Semantics
 from stillroom.datasets.open import open_dataset
 from stillroom.protocols import Segmenter
 from stillroom.semantics.carried_boxes import CarriedBoxes, CarryConfig
@@ -68,6 +68,14 @@ def masks_by_time_with_a_gap(folder: Path, images: list[RgbdImage]) -> Build:
     return MaskFilesConfig(folder).build
 
 
+def instance_files(folder: Path, images: list[RgbdImage]) -> Build:
+    for image in images:
+        numbers = image.truth.mask.astype(np.uint16)
+        numbers[:70] *= 300
+        cv2.imwrite(str(folder / f"{image.index:06d}.png"), numbers)
+    return MaskFilesConfig(folder, dilate_px=2, instances=True).build
+
+
 def carried(folder: Path, images: list[RgbdImage]) -> Build:
     return lambda: withhold(TruthConfig(carry=CarryConfig(grow=0.5)).build(), [(12, 30)])
 
@@ -82,6 +90,7 @@ CASES: list[Case] = [
     truth_masks,
     masks_by_index,
     masks_by_time_with_a_gap,
+    instance_files,
     carried,
     withheld_masks,
 ]
@@ -186,6 +195,52 @@ class FromTheFuture(Fine):
     box = Box(3.0, 4.0, 50.0, 60.0, "person", 0.9, carried=-1)
 
 
+class Instances(Fine):
+    """With an instance; the classes below break one promise of it each."""
+
+    instance = Instance("person", 0.9, np.ones((30, 20), np.bool_), 5, 6, 120, 160)
+
+    def spoil(self, answer: Semantics) -> Semantics:
+        return replace(answer, instances=(self.instance,))
+
+
+class ByteInstance(Instances):
+    instance = replace(Instances.instance, pixels=np.ones((30, 20), np.uint8))
+
+
+class OtherSizeInstance(Instances):
+    instance = replace(Instances.instance, height=240, width=320)
+
+
+class InstanceOutside(Instances):
+    instance = replace(Instances.instance, x_px=150)
+
+
+class InstancePerCent(Instances):
+    instance = replace(Instances.instance, score=90.0)
+
+
+class UnlabelledInstance(Instances):
+    instance = replace(Instances.instance, label="")
+
+
+class LooseInstance(Instances):
+    instance = replace(Instances.instance, pixels=np.eye(30, 20, k=1, dtype=np.bool_))
+
+
+class InstanceBeyondTheMask(Instances):
+    def spoil(self, answer: Semantics) -> Semantics:
+        return replace(super().spoil(answer), mask=np.eye(120, 160, dtype=np.bool_))
+
+
+class OneInstanceBuffer(Instances):
+    buffer = np.ones((30, 20), np.bool_)
+
+    def spoil(self, answer: Semantics) -> Semantics:
+        self.buffer[10:20, 10] ^= True
+        return replace(answer, instances=(replace(self.instance, pixels=self.buffer),))
+
+
 class Painter(Fine):
     def __call__(self, image: RgbdImage) -> Semantics:
         image.rgb[0, 0] ^= 255
@@ -226,6 +281,7 @@ class Sloppy(Fine):
 
 def test_a_plain_segmenter_passes() -> None:
     assert len(check_segmenter(Fine, a_walk(3))) == 3
+    assert all(answer.instances for answer in check_segmenter(Instances, a_walk(3)))
 
 
 @pytest.mark.parametrize(
@@ -241,6 +297,14 @@ def test_a_plain_segmenter_passes() -> None:
         (PerCent, "not within 0 and 1"),
         (ClassNumber, "no text"),
         (FromTheFuture, "future"),
+        (ByteInstance, r"pixels of Instance.* are uint8, not bool"),
+        (OtherSizeInstance, "another image size"),
+        (InstanceOutside, "beyond the image"),
+        (InstancePerCent, "not within 0 and 1"),
+        (UnlabelledInstance, "no label"),
+        (LooseInstance, "not cropped to its pixels"),
+        (InstanceBeyondTheMask, "reaches beyond the mask"),
+        (OneInstanceBuffer, "changed after it was given"),
         (Painter, "changed the colours"),
         (DepthFiller, "changed the depth"),
         (Random, "a fresh segmenter answers otherwise"),

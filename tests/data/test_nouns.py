@@ -8,7 +8,7 @@ from stillroom.data.frame import ScaleLevels
 from stillroom.data.matches import Matches
 from stillroom.data.motion import Motion
 from stillroom.data.result import Tracked, TrackingState
-from stillroom.data.semantics import Box, Semantics, nothing
+from stillroom.data.semantics import UNNAMED, Box, Instance, Semantics, nothing
 
 
 def test_scale_levels() -> None:
@@ -100,3 +100,53 @@ def test_nothing_covers_nothing() -> None:
     assert semantics.movable.shape == (4, 6)
     assert not semantics.movable_at(np.array([[1.0, 1.0]])).any()
     assert semantics.boxes_xyxy_px.shape == (0, 4)
+
+
+def two_who_touch() -> tuple[Instance, Instance]:
+    left, right = np.zeros((2, 9, 12), bool)
+    left[2:6, 1:4] = True
+    left[1, 2] = True  # a head
+    right[3:7, 4:7] = True
+    return Instance.of(left, "person", 0.8, track_id=4), Instance.of(right, "dog", 0.5)
+
+
+def test_an_instance_keeps_its_part_of_a_mask() -> None:
+    mask = np.zeros((480, 640), bool)
+    mask[100:300, 50:150] = True
+    mask[120, 90] = False
+    instance = Instance.of(mask, "person", 0.75, track_id=3)
+    np.testing.assert_array_equal(instance.mask, mask)
+    assert instance.box == Box(50, 100, 149, 299, "person", 0.75, track_id=3)
+    assert instance.area_px == 200 * 100 - 1
+    assert instance.pixels.nbytes == 200 * 100
+    assert instance.pixels.base is None  # and does not hold on to the whole mask
+    mask[:] = False
+    assert instance.pixels.any()
+    with pytest.raises(ValueError, match="'person' covers no pixel"):
+        Instance.of(mask, "person")
+
+
+def test_instances_add_up_unless_a_mask_overrules_them() -> None:
+    left, right = two_who_touch()
+    semantics = Semantics(9, 12, (box(0, 0, 11, 8),), instances=(left, right))
+    assert semantics.has_any
+    np.testing.assert_array_equal(semantics.movable, left.mask | right.mask)
+    assert Semantics(9, 12, instances=(left,)).has_any
+    assert Semantics(9, 12, instances=(left,)).movable_at(np.array([[2.0, 1.0], [1.0, 1.0]])).tolist() == [True, False]
+    everything = np.ones((9, 12), bool)
+    assert Semantics(9, 12, mask=everything, instances=(left,)).movable is everything
+
+
+def test_objects_are_instances_or_else_what_hangs_together() -> None:
+    left, right = two_who_touch()
+    told_apart = Semantics(9, 12, instances=(left, right))
+    assert told_apart.objects == (left, right)
+    mask = left.mask | right.mask
+    mask[0, 8] = mask[1, 9] = True  # touch by a corner
+    (people, speck) = Semantics(9, 12, mask=mask).objects
+    np.testing.assert_array_equal(people.mask | speck.mask, mask)
+    assert (people.label, people.area_px, speck.area_px) == (UNNAMED, left.area_px + right.area_px, 2)
+    assert speck.box.xyxy_px == (8, 0, 9, 1)
+    (filled,) = Semantics(9, 12, (box(1, 2, 3, 4),)).objects
+    assert filled.box.xyxy_px == (1, 2, 3, 4)
+    assert Semantics(9, 12).objects == ()

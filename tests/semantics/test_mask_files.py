@@ -145,3 +145,51 @@ def test_folders_that_cannot_serve(tmp_path):
 def test_impossible_values(tmp_path, options, said):
     with pytest.raises(ConfigError, match=said):
         MaskFilesConfig(**{"folder": tmp_path, **options}).build()
+
+
+def touching():
+    numbers = np.zeros((HEIGHT, WIDTH), np.uint16)
+    numbers[5:15, 8:20] = 300
+    numbers[5:15, 20:30] = 44
+    numbers[20:22, 2] = 300  # a foot, apart
+    return numbers
+
+
+def in_colours():
+    colours = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
+    colours[touching() == 300] = 0, 128, 1
+    colours[touching() == 44] = 1, 128, 0
+    return colours
+
+
+@pytest.mark.parametrize("pixels", [touching(), in_colours()], ids=["16 bits", "colours"])
+def test_instances_are_told_apart_by_value(tmp_path, pixels):
+    write(tmp_path / "3.png", pixels)
+    answer = MaskFilesConfig(tmp_path, instances=True).build()(image())
+    masks = {instance.area_px: instance.mask for instance in answer.instances}
+    assert sorted(masks) == [100, 122]
+    np.testing.assert_array_equal(masks[122], touching() == 300)
+    np.testing.assert_array_equal(masks[100], touching() == 44)
+    np.testing.assert_array_equal(answer.mask, touching() > 0)
+    assert [box.xyxy_px for box in answer.boxes] == [(2, 5, 19, 21), (20, 5, 29, 14)]
+    plain = MaskFilesConfig(tmp_path).build()(image())
+    assert plain.instances == ()
+    np.testing.assert_array_equal(plain.mask, answer.mask)
+
+
+def test_instances_are_grown_one_by_one_and_chosen_by_value(tmp_path):
+    write(tmp_path / "3.png", touching())
+    grown = MaskFilesConfig(tmp_path, dilate_px=2, instances=True).build()(image())
+    plain = MaskFilesConfig(tmp_path, dilate_px=2).build()(image())
+    np.testing.assert_array_equal(grown.mask, plain.mask)
+    first, second = (instance.mask for instance in grown.instances)
+    assert (first & second).any()
+    np.testing.assert_array_equal(first | second, grown.mask)
+    (chosen,) = MaskFilesConfig(tmp_path, movable_values=(300,), instances=True).build()(image()).instances
+    np.testing.assert_array_equal(chosen.mask, touching() == 300)
+
+
+def test_a_file_without_instances_has_none(tmp_path):
+    write(tmp_path / "3.png", np.zeros((HEIGHT, WIDTH), np.uint16))
+    answer = MaskFilesConfig(tmp_path, instances=True).build()(image())
+    assert (answer.instances, answer.boxes, answer.has_any) == ((), (), False)

@@ -1,13 +1,17 @@
-"""What may move in an image: boxes with classes, and masks."""
+"""What may move in an image: boxes with classes, instances with masks of their own, and the mask of all."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
+import cv2
 import numpy as np
 
 from stillroom.data.cloud.clusters import Clusters
 from stillroom.geometry.arrays import F32, Bool, Floats
+
+UNNAMED = "movable"
+"""Label of an object that no segmenter told apart: a connected part of what may move."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +46,70 @@ class Box:
         return max(0.0, self.x_max_px - self.x_min_px) * max(0.0, self.y_max_px - self.y_min_px)
 
 
+@dataclass(frozen=True, eq=False)
+class Instance:
+    """One movable object with the pixels that are its own, in the image as taken (distorted pixels).
+
+    Its mask is kept cropped to its box: ten people cost about as much memory as one mask of the image.
+
+    Attributes:
+        label: Class name, such as "person".
+        score: How sure the segmenter is, between 0 and 1.
+        pixels: Its mask within its box (h, w) bool; each border row and column has a pixel of it.
+        x_px, y_px: Column and row in the image of the first pixel of `pixels`.
+        height, width: Image size [px].
+        track_id: Identity over time where a tracker gave one; −1 otherwise.
+    """
+
+    label: str
+    score: float
+    pixels: Bool = field(repr=False)
+    x_px: int
+    y_px: int
+    height: int
+    width: int
+    track_id: int = -1
+
+    @staticmethod
+    def of(mask: Bool, label: str, score: float = 1.0, track_id: int = -1) -> "Instance":
+        """Return the instance of a mask (H, W) bool; it keeps a copy of its part of it.
+
+        Raises:
+            ValueError: The mask covers no pixel.
+        """
+        rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+        if len(rows) == 0:
+            raise ValueError(f"the mask of an instance of '{label}' covers no pixel; leave the instance out")
+        y, x = int(rows[0]), int(columns[0])
+        pixels = mask[y : int(rows[-1]) + 1, x : int(columns[-1]) + 1].copy()
+        return Instance(label, score, pixels, x, y, mask.shape[0], mask.shape[1], track_id)
+
+    @property
+    def window(self) -> tuple[slice, slice]:
+        """Rows and columns of its box: `image[instance.window][instance.pixels]` is what it covers."""
+        rows, columns = self.pixels.shape
+        return slice(self.y_px, self.y_px + rows), slice(self.x_px, self.x_px + columns)
+
+    @property
+    def mask(self) -> Bool:
+        """Its pixels in the whole image (H, W) bool; a new array each time."""
+        full = np.zeros((self.height, self.width), dtype=np.bool_)
+        full[self.window] = self.pixels
+        return full
+
+    @cached_property
+    def area_px(self) -> int:
+        """How many pixels it covers [px²]."""
+        return int(np.count_nonzero(self.pixels))
+
+    @property
+    def box(self) -> Box:
+        """Return the smallest box with all its pixels."""
+        rows, columns = self.pixels.shape
+        x1, y1 = self.x_px + columns - 1, self.y_px + rows - 1
+        return Box(self.x_px, self.y_px, x1, y1, self.label, self.score, track_id=self.track_id)
+
+
 @dataclass(frozen=True)
 class Semantics:
     """What may move in one image.
@@ -53,6 +121,8 @@ class Semantics:
         clusters: What the depth cloud falls into, where somebody looked; they may move whatever their class is.
         named: Objects of classes that stand still unless somebody moves them, such as chairs; no reason to think that
             they move.
+        instances: Objects of movable classes with a mask each, where a segmenter told them apart; they may overlap.
+            Where there is a mask too, it covers all of them: who grows it grows them, or leaves them out.
     """
 
     height: int
@@ -61,23 +131,34 @@ class Semantics:
     mask: Bool | None = field(default=None, repr=False)
     clusters: Clusters | None = field(default=None, repr=False)
     named: tuple[Box, ...] = ()
+    instances: tuple[Instance, ...] = field(default=(), repr=False)
 
     @property
     def has_any(self) -> bool:
         """Whether anything may move at all."""
-        return bool(self.boxes) or (self.mask is not None and bool(self.mask.any()))
+        return bool(self.boxes) or bool(self.instances) or (self.mask is not None and bool(self.mask.any()))
 
     @cached_property
     def movable(self) -> Bool:
-        """Pixels that may move (H, W): the mask where there is one, else the boxes filled."""
+        """Pixels that may move (H, W): the mask where there is one, else all instances, else the boxes filled."""
         if self.mask is not None:
             return self.mask
+        if self.instances:
+            return union_of(self.instances, self.height, self.width)
         filled = np.zeros((self.height, self.width), dtype=np.bool_)
         for box in self.boxes:
             x0, y0 = max(0, int(np.ceil(box.x_min_px))), max(0, int(np.ceil(box.y_min_px)))
             x1, y1 = int(np.floor(box.x_max_px)), int(np.floor(box.y_max_px))
             filled[y0 : max(y0, y1 + 1), x0 : max(x0, x1 + 1)] = True
         return filled
+
+    @cached_property
+    def objects(self) -> tuple[Instance, ...]:
+        """What may move, object by object: the instances where they are known, else the connected parts of `movable`.
+
+        A part may be two people who touch, or one of two halves of a person; its label is `UNNAMED`.
+        """
+        return self.instances or connected_parts(self.movable)
 
     def movable_at(self, raw_px: Floats) -> Bool:
         """Tell for points (N, 2) of the image as taken whether they lie on something movable, (N,)."""
@@ -96,6 +177,25 @@ class Semantics:
 def boxes_xyxy_px(boxes: Sequence[Box]) -> F32:
     """Return the edges of boxes (B, 4) [px]."""
     return np.array([box.xyxy_px for box in boxes], dtype=np.float32).reshape(-1, 4)
+
+
+def union_of(instances: Sequence[Instance], height: int, width: int) -> Bool:
+    """Return the pixels (H, W) bool of all instances of an image together."""
+    together = np.zeros((height, width), dtype=np.bool_)
+    for instance in instances:
+        together[instance.window] |= instance.pixels
+    return together
+
+
+def connected_parts(mask: Bool, label: str = UNNAMED) -> tuple[Instance, ...]:
+    """Return the parts of a mask (H, W) bool, pixels that touch by a side or a corner, in the order of their labels."""
+    pixels = np.ascontiguousarray(mask).view(np.uint8)
+    _, part_at, statistics, _ = cv2.connectedComponentsWithStats(pixels, connectivity=8)
+    parts = []
+    for part, (x, y, columns, rows, _) in enumerate(statistics[1:].tolist(), start=1):
+        own = part_at[y : y + rows, x : x + columns] == part
+        parts.append(Instance(label, 1.0, own, x, y, *mask.shape))
+    return tuple(parts)
 
 
 def nothing(height: int, width: int) -> Semantics:

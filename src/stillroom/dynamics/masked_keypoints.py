@@ -59,4 +59,5 @@ class MaskedKeypoints:
             return known
         side = 2 * self.config.border_px + 1
         disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
-        return replace(known, mask=cv2.dilate(known.movable.view(np.uint8), disc) != 0)
+        # Only the mask is asked; the instances are not grown with it, and would no longer agree with it.
+        return replace(known, mask=cv2.dilate(known.movable.view(np.uint8), disc) != 0, instances=())

@@ -2,7 +2,8 @@
 
 import logging
 import re
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -10,9 +11,9 @@ import cv2
 import numpy as np
 
 from stillroom.data.image import RgbdImage
-from stillroom.data.semantics import Box, Semantics, nothing
+from stillroom.data.semantics import Box, Instance, Semantics, nothing, union_of
 from stillroom.errors import ConfigError, DatasetError
-from stillroom.geometry.arrays import U8
+from stillroom.geometry.arrays import U8, Ints
 from stillroom.protocols import Segmenter
 
 SUFFIXES = {".png", ".bmp", ".tif", ".tiff", ".pgm", ".webp"}  # without loss; JPEG blurs labels
@@ -36,6 +37,9 @@ class MaskFilesConfig:
         missing: What a frame without a readable mask means: "nothing" in it may move (with one warning), or "error".
         boxes: Whether each connected region becomes a box, too.
         min_box_px: Smallest region that becomes a box [px²].
+        instances: Whether the files tell objects apart: each value but 0, of 8 or 16 bits, or each colour but black
+            (a palette's too), is one object, which becomes an instance, with a box of its own instead of its regions'.
+            Values need not name the same object in the next frame.
     """
 
     folder: Path | None = None
@@ -44,6 +48,7 @@ class MaskFilesConfig:
     missing: str = "nothing"
     boxes: bool = True
     min_box_px: int = 100
+    instances: bool = False
 
     def build(self) -> Segmenter:
         """Return the segmenter.
@@ -86,14 +91,26 @@ class MaskFiles:
         if pixels is None:
             return self._without(image, f"{path}: cannot be read as an image")
         movable = self._movable(np.asarray(pixels), path)
-        if movable.shape != (image.height, image.width):
+        size = (image.height, image.width)
+        if movable.shape != size:
             raise DatasetError(
                 f"{path}: the mask is {movable.shape[1]}×{movable.shape[0]}, "
                 f"the image {image.width}×{image.height}; they must be of one size"
             )
-        mask = _dilate(movable, self._config.dilate_px)
-        boxes = _boxes(mask, self._config.min_box_px) if self._config.boxes else ()
-        return Semantics(image.height, image.width, boxes, mask != 0)
+        if self._config.instances:
+            instances = self._instances(np.where(movable, _numbers(np.asarray(pixels)), 0))
+            known = Semantics(*size, mask=union_of(instances, *size), instances=instances)
+        else:
+            known = Semantics(*size, mask=_dilate(movable, self._config.dilate_px) != 0)
+        return replace(known, boxes=_boxes(known.objects, self._config.min_box_px)) if self._config.boxes else known
+
+    def _instances(self, numbers: Ints) -> tuple[Instance, ...]:
+        """Return the object of each number but 0 in an image of numbers (H, W), grown."""
+        found = []
+        for number in np.unique(numbers[numbers > 0]).tolist():
+            own = _dilate((numbers == number).astype(np.uint8), self._config.dilate_px)
+            found.append(Instance.of(own != 0, LABEL))
+        return tuple(found)
 
     def _find(self, image: RgbdImage) -> Path | None:
         if len(self._times_s):
@@ -150,12 +167,15 @@ def _dilate(movable: U8, radius_px: int) -> U8:
     return np.asarray(cv2.dilate(movable, disc), dtype=np.uint8)
 
 
-def _boxes(mask: U8, smallest_px: int) -> tuple[Box, ...]:
-    """Return the box around each connected region, the largest first."""
-    _, _, statistics, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
-    regions = sorted((row.tolist() for row in statistics[1:]), key=lambda row: -row[4])
-    return tuple(
-        Box(x, y, x + width - 1, y + height - 1, LABEL, 1.0)
-        for x, y, width, height, area in regions
-        if area >= smallest_px
-    )
+def _numbers(pixels: Ints) -> Ints:
+    """Return one number a pixel (H, W) of an image (H, W) or (H, W, channels): its value, or its colour's."""
+    if pixels.ndim == 2:
+        return pixels
+    blue, green, red = np.moveaxis(pixels[..., :3].astype(np.int64), 2, 0)  # a fourth channel is opacity
+    return np.asarray(blue + (green << 16) + (red << 32))
+
+
+def _boxes(objects: Sequence[Instance], smallest_px: int) -> tuple[Box, ...]:
+    """Return the box around each object, the largest first."""
+    largest_first = sorted(objects, key=lambda thing: -thing.area_px)
+    return tuple(replace(thing.box, label=LABEL) for thing in largest_first if thing.area_px >= smallest_px)

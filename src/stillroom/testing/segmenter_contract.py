@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from stillroom.data.image import RgbdImage
-from stillroom.data.semantics import Box, Semantics
+from stillroom.data.semantics import Box, Instance, Semantics
 from stillroom.protocols import Segmenter
 
 
@@ -63,8 +63,10 @@ def _ask(segmenter: Segmenter, image: RgbdImage) -> Semantics:
     if answer.mask is not None:
         assert answer.mask.dtype == np.bool_, f"{where}: the mask is {answer.mask.dtype}, not bool"
         assert answer.mask.shape == size, f"{where}: the mask is {answer.mask.shape}, the image {size}"
-    for box in answer.boxes:
+    for box in (*answer.boxes, *answer.named):
         _check_box(box, image, where)
+    for instance in answer.instances:
+        _check_instance(instance, answer, image, where)
     return answer
 
 
@@ -81,8 +83,26 @@ def _check_box(box: Box, image: RgbdImage, where: str) -> None:
     assert box.carried >= 0, f"{where}: {box} was last seen in the future"
 
 
+def _check_instance(instance: Instance, answer: Semantics, image: RgbdImage, where: str) -> None:
+    size = (image.height, image.width)
+    assert isinstance(instance, Instance), f"{where}: an instance is a {type(instance).__name__}, not Instance"
+    assert (instance.height, instance.width) == size, f"{where}: {instance} is of another image size than {size}"
+    assert instance.pixels.dtype == np.bool_, f"{where}: the pixels of {instance} are {instance.pixels.dtype}, not bool"
+    assert instance.pixels.ndim == 2, f"{where}: the pixels of {instance} are of shape {instance.pixels.shape}"
+    _check_box(instance.box, image, where)
+    pixels = instance.pixels
+    is_tight = all(line.any() for line in (pixels[0], pixels[-1], pixels[:, 0], pixels[:, -1]))
+    assert is_tight, f"{where}: {instance} is not cropped to its pixels, or has none; make it with Instance.of"
+    if answer.mask is not None:
+        covered = answer.mask[instance.window] | ~instance.pixels
+        assert covered.all(), f"{where}: {instance} reaches beyond the mask, which must cover all instances"
+
+
 def _check_same(answer: Semantics, expected: Semantics, problem: str) -> None:
     assert answer.boxes == expected.boxes, f"{problem}: boxes {answer.boxes} and {expected.boxes}"
+    assert answer.named == expected.named, f"{problem}: named {answer.named} and {expected.named}"
+    ours, theirs = ([_told(instance) for instance in said.instances] for said in (answer, expected))
+    assert ours == theirs, f"{problem}: other instances, {answer.instances} and {expected.instances}"
     assert (answer.mask is None) == (expected.mask is None), f"{problem}: now a mask, now none"
     if answer.mask is not None and expected.mask is not None:
         assert np.array_equal(answer.mask, expected.mask), f"{problem}: another mask"
@@ -90,7 +110,14 @@ def _check_same(answer: Semantics, expected: Semantics, problem: str) -> None:
 
 def _copied(answer: Semantics) -> Semantics:
     mask = None if answer.mask is None else answer.mask.copy()
-    return Semantics(answer.height, answer.width, tuple(answer.boxes), mask)
+    instances = tuple(replace(instance, pixels=instance.pixels.copy()) for instance in answer.instances)
+    named = tuple(answer.named)
+    return Semantics(answer.height, answer.width, tuple(answer.boxes), mask, named=named, instances=instances)
+
+
+def _told(instance: Instance) -> tuple[object, ...]:
+    """Return all that an instance says, such that two can be compared."""
+    return instance.label, instance.score, instance.track_id, instance.x_px, instance.y_px, instance.pixels.tolist()
 
 
 def _black(image: RgbdImage) -> RgbdImage:

@@ -1,10 +1,10 @@
 """The clusters that a depth cloud would fall into, taken from what the renderer knows."""
 
-import cv2
 import numpy as np
 
 from stillroom.data.cloud.clusters import PLANE, UNKNOWN, Clusters
 from stillroom.data.image import RgbdImage
+from stillroom.data.semantics import connected_parts
 from stillroom.geometry.arrays import F64, I16, Bool
 from stillroom.geometry.camera import Camera
 
@@ -15,19 +15,18 @@ def true_clusters(image: RgbdImage, camera: Camera) -> Clusters | None:
     """Return the moving things of a rendered image as clusters, all else with depth as plane; None without truth."""
     if image.truth is None:
         return None
-    movable = (image.truth.movable & (image.depth_m > 0)).astype(np.uint8)
-    _, parts, stats, _ = cv2.connectedComponentsWithStats(movable, connectivity=8)
-    areas_px = stats[1:, cv2.CC_STAT_AREA]
-    order = np.argsort(-areas_px, kind="stable")
-    order = order[areas_px[order] >= SMALLEST_PX]
+    # By touch and not by instance, as a cloud falls apart: two people who touch are one cluster.
+    movable = image.truth.movable & (image.depth_m > 0)
+    parts = [part for part in connected_parts(movable) if part.area_px >= SMALLEST_PX]
+    parts.sort(key=lambda part: -part.area_px)
     labels: I16 = np.where(image.depth_m > 0, PLANE, UNKNOWN).astype(np.int16)
-    labels[movable > 0] = UNKNOWN
+    labels[movable] = UNKNOWN
     points_m = []
-    for label, part in enumerate(order):
-        labels[parts == part + 1] = label
+    for label, part in enumerate(parts):
+        labels[part.window][part.pixels] = label
         points_m.append(_points(image, labels == label, camera))
     boxes = image.truth.boxes_xyxy_px
-    middles_px = [np.argwhere(labels == label)[:, ::-1].mean(axis=0) for label in range(len(order))]
+    middles_px = [np.argwhere(labels == label)[:, ::-1].mean(axis=0) for label in range(len(parts))]
     inside = [(boxes[:, :2] <= middle).all(axis=1) & (boxes[:, 2:] >= middle).all(axis=1) for middle in middles_px]
 
     def stacked(rows: list[F64]) -> F64:

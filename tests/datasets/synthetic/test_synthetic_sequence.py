@@ -12,6 +12,7 @@ import pytest
 
 from stillroom.data.image import RgbdImage
 from stillroom.data.locations import cache_folder
+from stillroom.data.semantics import union_of
 from stillroom.datasets.synthetic import open_synthetic
 from stillroom.datasets.synthetic import room as room_module
 from stillroom.datasets.synthetic.cache import FrameCache, StoredFrame
@@ -162,6 +163,10 @@ def test_boxes_are_tight_round_what_shows() -> None:
         image, truth = room.load(index), room.truth(index)
         assert image.truth is not None
         np.testing.assert_array_equal(image.truth.movable, truth.moving)
+        for instance in image.truth.instances:
+            np.testing.assert_array_equal(instance.mask, truth.instance == instance.track_id)
+        told_apart = union_of(image.truth.instances, *truth.moving.shape)
+        np.testing.assert_array_equal(told_apart, truth.moving)
         covered = np.zeros_like(truth.moving)
         for box in image.truth.boxes:
             labels.add(box.label)

@@ -14,7 +14,7 @@ from stillroom.data.map import Map
 from stillroom.data.matches import Matches
 from stillroom.data.motion import Motion, Stage
 from stillroom.data.result import FrameResult, Tracked
-from stillroom.data.semantics import Box, Semantics
+from stillroom.data.semantics import Box, Instance, Semantics
 from stillroom.datasets.open import open_dataset
 from stillroom.datasets.selection import select
 from stillroom.dynamics.multiview.presets import CodeMultiViewConfig, PaperMultiViewConfig
@@ -211,11 +211,22 @@ def test_geometrys_mask_stands_for_a_networks_of_the_same_thing() -> None:
     network[10:30, 50:60] = True  # by the network alone
     found = np.zeros_like(network)
     found[12:28, 14:26] = True
-    kept = without_found(network, found, 0.3)
+    known = Semantics(60, 80, mask=network)
+    kept = without_found(known, found, 0.3)
     expected = network.copy()
     expected[:, :40] = False
     np.testing.assert_array_equal(kept, expected)
-    np.testing.assert_array_equal(without_found(network, np.zeros_like(found), 0.3), network)
+    np.testing.assert_array_equal(without_found(known, np.zeros_like(found), 0.3), network)
+
+
+def test_geometry_stands_for_one_of_two_people_who_touch_where_they_are_told_apart() -> None:
+    left, right = np.zeros((2, 60, 80), np.bool_)
+    left[10:30, 10:30] = True
+    right[10:30, 30:50] = True
+    together = left | right
+    told_apart = Semantics(60, 80, mask=together, instances=(Instance.of(left, "person"), Instance.of(right, "person")))
+    np.testing.assert_array_equal(without_found(told_apart, left, 0.6), right)
+    np.testing.assert_array_equal(without_found(Semantics(60, 80, mask=together), left, 0.6), together)
 
 
 def test_the_past_is_bounded_and_of_keyframes_only() -> None:

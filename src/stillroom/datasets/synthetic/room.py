@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from stillroom.data.image import RgbdImage
-from stillroom.data.semantics import Box, Semantics
+from stillroom.data.semantics import Box, Instance, Semantics
 from stillroom.data.trajectory import Trajectory
 from stillroom.datasets.synthetic import sensor
 from stillroom.datasets.synthetic.cache import FrameCache, StoredFrame
@@ -155,14 +155,17 @@ class SyntheticRoom:
         is_mover[list(movers)] = True
         extents, moving = np.empty((256, 5), dtype=np.int64), np.empty(instance.shape, dtype=np.bool_)
         extents_of(instance, is_mover, extents, moving)
-        boxes = []
+        height, width = instance.shape
+        boxes, instances = [], []
         for number, label in movers.items():
             count, left, top, right, bottom = (int(value) for value in extents[number])
+            if count > 0:
+                own = instance[top : bottom + 1, left : right + 1] == number
+                instances.append(Instance(label, 1.0, own, left, top, height, width, track_id=number))
             if count >= SMALLEST_BOX_PX:
                 edges = (float(left), float(top), float(right), float(bottom))
                 boxes.append(Box(*edges, label=label, confidence=1.0, track_id=number))
-        height, width = instance.shape
-        return Semantics(height, width, tuple(boxes), moving)
+        return Semantics(height, width, tuple(boxes), moving, instances=tuple(instances))
 
 
 @lru_cache(maxsize=1)

@@ -12,7 +12,7 @@ from stillroom.data.map import Map
 from stillroom.data.map.jumps import JumpFollower
 from stillroom.data.matches import Matches
 from stillroom.data.motion import Motion, Stage
-from stillroom.data.semantics import Semantics, nothing
+from stillroom.data.semantics import Instance, Semantics, nothing, union_of
 from stillroom.dynamics.enough import or_less
 from stillroom.dynamics.multiview.geometry import GeometryConfig
 from stillroom.dynamics.multiview.views import CHOICES
@@ -133,22 +133,24 @@ class MultiViewSieve:
         """Return what moves (H, W) by both accounts; an array of its own."""
         moving = np.zeros((known.height, known.width), dtype=np.bool_)
         if self.config.network and known.has_any:
-            moving |= known.movable
+            if found is not None and self.config.combination == GEOMETRY_FIRST:
+                moving |= without_found(known, found, self.config.overlap_share)
+            else:
+                moving |= known.movable
         if found is not None:
-            if self.config.combination == GEOMETRY_FIRST:
-                moving = without_found(moving, found, self.config.overlap_share)
             moving |= dilated(found, self.config.dilation_px)
         return moving
 
 
-def without_found(network: Bool, found: Bool, share: float) -> Bool:
-    """Return a network's mask (H, W) without the connected parts of which geometry found at least a share."""
-    n, labels = cv2.connectedComponents(network.view(np.uint8), connectivity=8)
-    area = np.bincount(labels.ravel(), minlength=n)
-    both = np.bincount(labels.ravel(), found.ravel(), minlength=n)
-    keeps = both < share * np.maximum(area, 1)
-    keeps[0] = False
-    return np.asarray(keeps[labels], dtype=np.bool_)
+def without_found(known: Semantics, found: Bool, share: float) -> Bool:
+    """Return what may move (H, W) without the objects of which geometry found (H, W) at least a share."""
+    kept = [thing for thing in known.objects if _both(thing, found) < share * thing.area_px]
+    return union_of(kept, known.height, known.width)
+
+
+def _both(thing: Instance, found: Bool) -> int:
+    """Return how many pixels of an object geometry found."""
+    return int(np.count_nonzero(found[thing.window] & thing.pixels))
 
 
 def dilated(mask: Bool, reach_px: int) -> Bool:

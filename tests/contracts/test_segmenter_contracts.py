@@ -7,6 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from constant_detector import save_constant_detector
 from red_network import red_config, reddened, save_red_network
 
 from stillroom.data.image import RgbdImage
@@ -19,6 +20,7 @@ from stillroom.semantics.mask_files import MaskFilesConfig
 from stillroom.semantics.masks.onnx_masks import OnnxMasksConfig
 from stillroom.semantics.masks.pspnet import PspNetConfig
 from stillroom.semantics.nothing import NothingConfig
+from stillroom.semantics.onnx.onnx_boxes import OnnxBoxesConfig
 from stillroom.semantics.truth import TruthConfig
 from stillroom.semantics.yolo_fastest import YoloFastestConfig
 from stillroom.testing.segmenter_contract import check_segmenter
@@ -124,6 +126,15 @@ def test_a_network_keeps_the_contract(every: int, latency_frames: int, tmp_path:
     answers = check_segmenter(config.build, [reddened(image) for image in a_walk()])
     assert all(answer.boxes and answer.mask.any() for answer in answers)
     assert max(box.carried for answer in answers for box in answer.boxes) == (0 if every == 1 else 2)
+
+
+@pytest.mark.parametrize("carry", [True, False])
+def test_a_detector_keeps_the_contract(carry: bool, tmp_path: Path) -> None:
+    rows = np.array([[-20, 30, 50, 90, 0.9, 0], [60, 40, 900, 100, 0.7, 0], [10, 10, 90, 80, 0.8, 1]], np.float32)
+    model = save_constant_detector(tmp_path / "detector.onnx", {"boxes": rows})
+    config = OnnxBoxesConfig(model, "nms", classes=("person", "chair"), named=("chair",))
+    answers = check_segmenter(replace(config, carry=CarryConfig(enabled=carry)).build, a_walk())
+    assert all((len(answer.boxes), len(answer.named)) == (2, 1) for answer in answers)
 
 
 def test_onnx_masks_keep_the_contract(deeplab: Path, bonn: Path) -> None:

@@ -274,3 +274,17 @@ def load_bonn(folder: Path, index: int) -> RgbdImage:
     rgb = cv2.cvtColor(cv2.imread(str(folder / file)), cv2.COLOR_BGR2RGB)
     depth = cv2.imread(str(folder / depth_file), cv2.IMREAD_UNCHANGED)
     return RgbdImage(index, float(stamp), rgb, depth.astype(np.float32) / 5000)
+
+
+def test_a_chair_that_is_found_does_not_uncover_who_sits_on_it():
+    script, images = walk(6, seen=3)
+    chairs = {k: [*script.get(k, []), box_at(20 + 4 * k, label="chair")] for k in range(6)}
+    told_apart = CarriedBoxes(Script(chairs), 0.8, CarryConfig(), named=("chair",))
+    answers = [told_apart(image) for image in images]
+    assert [[(box.label, box.carried) for box in answer.boxes] for answer in answers] == [
+        [("person", max(k - 2, 0))] for k in range(6)
+    ]
+    assert [[(box.label, box.carried) for box in answer.named] for answer in answers] == [[("chair", 0)]] * 6
+    fresh = told_apart.with_detector(Script(chairs))(images[0])
+    assert [box.label for box in fresh.named] == ["chair"]
+    assert "person" not in [box.label for box in run(chairs, images)[-1]]

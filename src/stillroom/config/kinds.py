@@ -32,6 +32,7 @@ from stillroom.semantics.mask_files import MaskFilesConfig
 from stillroom.semantics.masks.onnx_masks import OnnxMasksConfig
 from stillroom.semantics.masks.pspnet import PspNetConfig
 from stillroom.semantics.nothing import NothingConfig
+from stillroom.semantics.onnx.onnx_boxes import OnnxBoxesConfig
 from stillroom.semantics.truth import TruthConfig
 from stillroom.semantics.yolo_fastest import YoloFastestConfig
 from stillroom.tracking.low_cost import LowCostConfig, NoLowCostConfig
@@ -133,6 +134,7 @@ SEMANTICS = Kinds(
     {
         "nothing": NothingConfig,
         "yolo-fastest": YoloFastestConfig,
+        "onnx-boxes": OnnxBoxesConfig,
         "onnx-masks": OnnxMasksConfig,
         "pspnet": PspNetConfig,
         "mask-files": MaskFilesConfig,

@@ -5,6 +5,7 @@ taken for static, which decides results: CFP-SLAM without such compensation is f
 (docs/reference.md#cfp-slam).
 """
 
+from collections.abc import Collection
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -15,7 +16,7 @@ from stillroom.errors import ConfigError
 from stillroom.geometry.arrays import F64
 from stillroom.semantics.box_flow import FollowedBox, Follower
 from stillroom.semantics.boxes import overlap
-from stillroom.semantics.detector import Detector
+from stillroom.semantics.detector import Detector, of_boxes
 
 ENTRY_SHARE = 0.025  # of the image's width: a box that comes so near to the border touches it
 
@@ -111,19 +112,21 @@ class _Track:
 class CarriedBoxes:
     """A detector with a memory: every box has an identity, and outlives its last detection for a while."""
 
-    def __init__(self, detector: Detector, confidence: float, config: CarryConfig) -> None:
+    def __init__(self, detector: Detector, confidence: float, config: CarryConfig, named: Collection[str] = ()) -> None:
         """Take boxes from a detector that reports them from `config.lowest(confidence)` on.
 
         Args:
             detector: Finds boxes in one image.
             confidence: From here on a box is believed at once.
             config: How boxes are carried on.
+            named: The detector's classes that stand still unless somebody moves them.
         """
         config.check()
         self.detector = detector
         self._confidence = confidence
         self._enter_confidence = min(confidence, config.enter_confidence)
         self._config = config
+        self._named = named
         self._follower = Follower(config.depth_range_m, config.min_points, config.min_support)
         self._tracks: list[_Track] = []
         self._next_id = 0
@@ -143,11 +146,11 @@ class CarriedBoxes:
         self._before = image
         boxes = [track.as_box(image.width, image.height, self._config.grow) for track in self._tracks]
         boxes.sort(key=lambda box: (box.carried, -box.confidence, box.track_id))
-        return Semantics(image.height, image.width, tuple(boxes))
+        return of_boxes(image, boxes, self._named)
 
     def with_detector(self, detector: Detector) -> "CarriedBoxes":
         """Return the same with another detector, and without memory."""
-        return CarriedBoxes(detector, self._confidence, self._config)
+        return CarriedBoxes(detector, self._confidence, self._config, self._named)
 
     def _is_strong(self, box: Box, width: int) -> bool:
         """Tell whether a box is believed at once. People half outside the image look like less than people."""
@@ -210,4 +213,7 @@ class CarriedBoxes:
         if not carried or not seen:
             return carried
         iou = overlap(np.array([track.edges for track in carried]), np.array([track.edges for track in seen]))
+        # A chair that is found does not mean that nobody sits on it any more.
+        is_named = [np.array([track.label in self._named for track in tracks]) for tracks in (carried, seen)]
+        iou[is_named[0][:, None] != is_named[1][None, :]] = 0.0
         return [track for track, most in zip(carried, iou.max(axis=1), strict=True) if most <= self._config.max_covered]

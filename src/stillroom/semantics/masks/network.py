@@ -10,9 +10,8 @@ import numpy as np
 
 from stillroom.errors import WeightsError
 from stillroom.geometry.arrays import F32, U8
+from stillroom.semantics.onnx.session import COLORS, failures, first_line, image_input, open_file
 
-COLORS = 3
-INPUT_TYPES = {"tensor(float)": np.float32, "tensor(float16)": np.float16, "tensor(uint8)": np.uint8}
 LOGITS, PROBABILITIES = "logits", "probabilities"
 
 
@@ -63,10 +62,9 @@ class SegmentationNetwork:
         self._channels = list(channels)
         self._n_classes = n_classes
         self._reading = reading
-        self._session = _session(path)
-        self._failures = _failures()
-        self._input = self._session.get_inputs()[0]
-        self._channels_last = self._check_input()
+        self._session = open_file(path)
+        self._failures = failures()
+        self._input = image_input(self._session, path)
 
     def probabilities(self, rgb: U8, width: int, height: int) -> F32:
         """Return how likely each pixel is of each class that is asked for.
@@ -85,39 +83,21 @@ class SegmentationNetwork:
         try:
             output = self._session.run(None, {self._input.name: self._blob(rgb)})[0]
         except self._failures as error:
-            raise WeightsError(f"{self._path}: cannot be run on an image ({_first_line(error)})") from error
+            raise WeightsError(f"{self._path}: cannot be run on an image ({first_line(error)})") from error
         scores = self._classes_first(np.asarray(output))
         thinned = scores[:, :: max(scores.shape[1] // height, 1), :: max(scores.shape[2] // width, 1)]
         likely = self._likely(thinned)
         return np.stack([_resized(channel, width, height) for channel in likely])
 
-    def _check_input(self) -> bool:
-        """Make sure that the network takes one image; tell whether its channels come last."""
-        shape, inputs = self._input.shape, self._session.get_inputs()
-        if len(inputs) != 1:
-            names = ", ".join(node.name for node in inputs)
-            raise WeightsError(f"{self._path}: takes {len(inputs)} inputs ({names}); it must take one image")
-        if self._input.type not in INPUT_TYPES:
-            raise WeightsError(f"{self._path}: takes {self._input.type}; it must take {', '.join(INPUT_TYPES)}")
-        first, last = (len(shape) == 4 and shape[axis] == COLORS for axis in (1, 3))
-        if not (first or last) or (isinstance(shape[0], int) and shape[0] > 1):
-            raise WeightsError(
-                f"{self._path}: its input '{self._input.name}' is of shape {shape}; "
-                "it must be (1, 3, height, width) or (1, height, width, 3)"
-            )
-        return last and not first
-
     def _blob(self, rgb: U8) -> Any:
         height, width = rgb.shape[:2]
-        rows, columns = self._input.shape[1:3] if self._channels_last else self._input.shape[2:4]
         longer = max(height, width)
         size = (
-            columns if isinstance(columns, int) else self._reading.side_px(width, longer),
-            rows if isinstance(rows, int) else self._reading.side_px(height, longer),
+            self._input.columns or self._reading.side_px(width, longer),
+            self._input.rows or self._reading.side_px(height, longer),
         )
         planes = color_planes(rgb, size, self._reading.mean, self._reading.std, self._reading.bgr)
-        ordered = planes.transpose(1, 2, 0) if self._channels_last else planes
-        return np.ascontiguousarray(ordered[None], dtype=INPUT_TYPES[self._input.type])
+        return self._input.blob(planes)
 
     def _classes_first(self, output: Any) -> Any:
         """Return an output as scores (classes, h, w); a map of best classes as scores of 0 and 1."""
@@ -172,42 +152,3 @@ def color_planes(
 def _resized(channel: F32, width: int, height: int) -> F32:
     fit = cv2.resize(np.ascontiguousarray(channel), (width, height), interpolation=cv2.INTER_LINEAR)
     return np.asarray(fit, dtype=np.float32)
-
-
-def _session(path: Path) -> Any:
-    if not path.is_file():
-        raise WeightsError(f"{path}: no such file; set semantics.model to an ONNX file")
-    try:
-        return on_one_thread(str(path))
-    except _failures() as error:
-        raise WeightsError(f"{path}: not an ONNX network that can be run ({_first_line(error)})") from error
-
-
-def on_one_thread(model: str | bytes) -> Any:
-    """Return onnxruntime's session of a file, or of a file's content.
-
-    On one thread the same image gives the same numbers, and tracking keeps its cores.
-    """
-    import onnxruntime
-
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = 1
-    options.inter_op_num_threads = 1
-    options.execution_mode = onnxruntime.ExecutionMode.ORT_SEQUENTIAL
-    options.log_severity_level = 4  # what fails is raised, and told in one line
-    return onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
-
-
-def _failures() -> tuple[type[Exception], ...]:
-    """Return what onnxruntime raises; its errors have no base of their own."""
-    from onnxruntime.capi import onnxruntime_pybind11_state as state
-
-    names = (
-        "Fail", "InvalidArgument", "InvalidGraph", "InvalidProtobuf", "NoModel", "NoSuchFile", "NotImplemented",
-        "RuntimeException",
-    )  # fmt: skip
-    return tuple(getattr(state, name) for name in names)
-
-
-def _first_line(error: Exception) -> str:
-    return str(error).strip().splitlines()[0][:200]

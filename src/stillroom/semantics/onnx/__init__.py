@@ -1,0 +1,1 @@
+"""Networks in ONNX files: running them, and boxes of any detector among them."""

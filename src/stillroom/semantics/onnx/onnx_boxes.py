@@ -1,0 +1,132 @@
+"""Any ONNX detection network says what may move, in boxes."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from stillroom.errors import ConfigError
+from stillroom.protocols import Segmenter
+from stillroom.semantics.carried_boxes import CarriedBoxes, CarryConfig
+from stillroom.semantics.darknet.cfg import read_cfg
+from stillroom.semantics.darknet.heads import DarknetHeads
+from stillroom.semantics.detector import EachFrameAlone
+from stillroom.semantics.masks.class_names import channels_of
+from stillroom.semantics.masks.onnx_masks import find_model
+from stillroom.semantics.onnx.class_names import COCO_CLASSES, read_class_names
+from stillroom.semantics.onnx.detector import DetectionNetwork, OnnxDetector, Reading
+from stillroom.semantics.onnx.fit import FITS, LETTERBOX, Colors
+from stillroom.semantics.onnx.layouts import DARKNET, LAYOUTS, YOLO_V8, Asked, Layout, layout_of
+from stillroom.semantics.onnx.session import open_file
+
+PIXELS, SHARES = "pixels", "shares"
+
+
+@dataclass(frozen=True)
+class OnnxBoxesConfig:
+    """Which network says what may move, and how it tells it.
+
+    The network takes one image, (1, 3, height, width) or (1, height, width, 3). The defaults are those of YOLO v8 to
+    v11 as Ultralytics exports them.
+
+    Attributes:
+        model: The ONNX file; a bare name is sought in the models' usual places.
+        layout: How it tells boxes: "yolo-v8", (1, 4 + classes, boxes); "yolo-v5", (1, boxes, 5 + classes); "nms",
+            (1, boxes, 6) or (boxes, 6), of edges, score and class; "detections", boxes, labels and scores as three
+            outputs; "darknet", a raw output for each head. `semantics/onnx/layouts.py` says more.
+        darknet_cfg: For "darknet": the network's cfg, which knows its heads' anchors.
+        classes: Names of the network's classes in order, with one for the background where it counts that; empty is
+            the 80 of COCO, or those of `classes_file`.
+        classes_file: A text file with these names, one a line.
+        movable: Names of the classes that may move.
+        named: Names of the classes that stand still unless somebody moves them.
+        confidence: From here on a box counts.
+        nms_iou: Highest overlap that two boxes of one class may have; of more, the best is kept.
+        input_px: Width and height of the network's input where the file leaves them open [px].
+        fit: How an image gets there: "letterbox" keeps its proportions, with gray around it; "stretch".
+        mean, std: Subtracted from the colours, which are RGB in 0–255, and divided by. Networks by darknet, and those
+            that take whole numbers, want 0 and 1.
+        bgr: Whether the network wants blue first.
+        coordinates: Whether edges are told in "pixels" of the input, or in "shares" of its sides; darknet's heads are
+            read as they are.
+        carry: How boxes are carried on over the frames in which they are missed.
+    """
+
+    model: Path | None = None
+    layout: str = YOLO_V8
+    darknet_cfg: Path | None = None
+    classes: tuple[str, ...] = ()
+    classes_file: Path | None = None
+    movable: tuple[str, ...] = ("person",)
+    named: tuple[str, ...] = ()
+    confidence: float = 0.50
+    nms_iou: float = 0.45
+    input_px: tuple[int, int] = (640, 640)
+    fit: str = LETTERBOX
+    mean: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    std: tuple[float, float, float] = (255.0, 255.0, 255.0)
+    bgr: bool = False
+    coordinates: str = PIXELS
+    carry: CarryConfig = field(default_factory=CarryConfig)
+
+    def build(self) -> Segmenter:
+        """Return the segmenter.
+
+        Raises:
+            ConfigError: A value is impossible, or a class is not among the network's.
+            WeightsError: The network's file is absent, or it is not a network of this kind.
+        """
+        if not self.carry.enabled:
+            return EachFrameAlone(self.build_detector(self.confidence), self.named)
+        detector = self.build_detector(self.carry.lowest(self.confidence))
+        return CarriedBoxes(detector, self.confidence, self.carry, self.named)
+
+    def build_detector(self, confidence: float) -> OnnxDetector:
+        """Return the bare detector, which reports boxes from a confidence on."""
+        self.check()
+        if self.model is None:
+            raise ConfigError("model is not set; name an ONNX file, as in semantics.model=detector.onnx")
+        names = self.class_names()
+        labels = (*self.movable, *self.named)
+        chosen = channels_of(labels, names)
+        path = find_model(self.model)
+        reading = Reading(self.input_px, self.fit, Colors(self.mean, self.std, self.bgr))
+        network = DetectionNetwork(open_file(path), path, reading)
+        side_px = network.input_px if self.coordinates == PIXELS else (1, 1)
+        layout = self._layout(Asked(path, len(names), chosen, confidence, side_px))
+        return OnnxDetector(network, layout, labels, self.nms_iou)
+
+    def class_names(self) -> tuple[str, ...]:
+        """Return the names of the network's classes, in order.
+
+        Raises:
+            ConfigError: They are named twice, or their file cannot be read.
+        """
+        if self.classes_file is None:
+            return self.classes or COCO_CLASSES
+        if self.classes:
+            raise ConfigError("classes and classes_file are both set; set one of them")
+        return read_class_names(self.classes_file)
+
+    def check(self) -> None:
+        """Refuse impossible values.
+
+        Raises:
+            ConfigError: Names the key.
+        """
+        for key, known in (("layout", LAYOUTS), ("fit", FITS), ("coordinates", (PIXELS, SHARES))):
+            if getattr(self, key) not in known:
+                raise ConfigError(f"{key} is '{getattr(self, key)}'; it must be one of {', '.join(known)}")
+        for key in ("confidence", "nms_iou"):
+            if not 0.0 < getattr(self, key) <= 1.0:
+                raise ConfigError(f"{key} is {getattr(self, key)}; it must be above 0 and at most 1")
+        if min(self.input_px) < 1:
+            raise ConfigError(f"input_px is {self.input_px}; its sides must be 1 or more")
+        if min(self.std) <= 0.0:
+            raise ConfigError(f"std is {self.std}; its values must be above 0")
+        if (self.layout == DARKNET) != (self.darknet_cfg is not None):
+            raise ConfigError(f"layout is '{self.layout}'; 'darknet', and it alone, needs darknet_cfg, a file")
+        self.carry.check()
+
+    def _layout(self, asked: Asked) -> Layout:
+        if self.darknet_cfg is None:
+            return layout_of(self.layout, asked)
+        return DarknetHeads(read_cfg(self.darknet_cfg), asked)

@@ -20,14 +20,15 @@ The sockets are structural: nothing inherits from them. `stillroom.testing` hold
 """
 
 from collections.abc import Callable
-from typing import ParamSpec, Protocol, TypeVar
+from typing import ParamSpec, Protocol, TypeVar, runtime_checkable
 
 from stillroom.data.cloud.dense_cloud import DenseCloud
 from stillroom.data.frame import Frame
 from stillroom.data.image import RgbdImage
 from stillroom.data.map import Map
-from stillroom.data.matches import Matches
-from stillroom.data.motion import Motion, Stage
+from stillroom.data.motion import Motion
+from stillroom.data.question import Pending as Pending
+from stillroom.data.question import Question
 from stillroom.data.result import FrameResult, Tracked
 from stillroom.data.semantics import Semantics
 from stillroom.data.trajectory import Trajectory
@@ -36,7 +37,6 @@ from stillroom.geometry.camera import Camera
 
 P = ParamSpec("P")
 T = TypeVar("T")
-T_co = TypeVar("T_co", covariant=True)
 
 
 class Dataset(Protocol):
@@ -80,13 +80,6 @@ class Segmenter(Protocol):
         """Return boxes or a mask of what may move in the image."""
 
 
-class Pending(Protocol[T_co]):
-    """An answer that may still be in the making."""
-
-    def result(self) -> T_co:
-        """Wait for the answer and return it; raise what the work raised."""
-
-
 class Clusterer(Protocol):
     """Takes the depth cloud of an image apart. Called once for each image, in order."""
 
@@ -119,27 +112,31 @@ class KeypointSieve(Protocol):
 
 
 class MatchSieve(Protocol):
-    """Sieve 2: decides while tracking what does move. Poses that it remembers follow the map (`data.map.jumps`)."""
+    """Sieve 2: decides while tracking what does move.
 
-    def judge(
-        self,
-        stage: Stage,
-        frame: Frame,
-        matches: Matches,
-        semantics: Pending[Semantics],
-        T_cam_world: F64,
-        world: Map,
-    ) -> Motion:
-        """Judge the whole image.
+    It is asked through `dynamics.asking`, which leads every sieve through its life: it is not asked while relocalizing,
+    and not heard where too few matches would be left. One with a memory is a `RememberingSieve` as well.
+    """
+
+    def judge(self, question: Question) -> Motion:
+        """Judge the whole image: every keypoint, matched or not, and every pixel."""
+
+
+@runtime_checkable
+class RememberingSieve(MatchSieve, Protocol):
+    """A match sieve that remembers earlier frames."""
+
+    def remember(self, frame: Frame, T_cam_world: F64, keyframe: int) -> None:
+        """Take a frame into the memory; called once a frame, when tracking it is done. Lost frames are left out.
 
         Args:
-            stage: When in tracking the question is put; thresholds may differ.
-            frame: The present frame.
-            matches: Its pairs with map points at this stage.
-            semantics: What may move; await it only if needed.
-            T_cam_world: The best guess of the present pose (4, 4) at this stage.
-            world: The map.
+            frame: The frame; `judge` was asked about it before.
+            T_cam_world: Its pose (4, 4).
+            keyframe: Its id in the map where it became a keyframe; else −1.
         """
+
+    def corrected(self, T_new_old: F64) -> None:
+        """Move what is remembered by a motion (4, 4) of the world's coordinates: the map was corrected at once."""
 
 
 class QuickTracking(Protocol):

@@ -10,6 +10,7 @@ from stillroom.data.map import Map, submaps
 from stillroom.data.result import FrameResult, Tracked
 from stillroom.data.semantics import Semantics
 from stillroom.data.trajectory import Trajectory
+from stillroom.dynamics.asking import Asking
 from stillroom.evaluation.timed_parts import timed_part
 from stillroom.evaluation.timing import StageClock
 from stillroom.features.places.place_memory import PlaceMemory
@@ -207,7 +208,7 @@ def build(
     clock = clock or StageClock()
     segmenter = segmenter or config.semantics.build()
     world = world or Map(config.features.scales)
-    sieve = timed_part(config.dynamics.build(config.seed), clock, judge="dynamics")
+    sieve = timed_part(Asking(config.dynamics.build(config.seed)), clock, judge="dynamics")
     tracker = config.tracking.build(sieve, config.low_cost.build(sieve))
     places = config.places.build(world)
     places.remember_all()

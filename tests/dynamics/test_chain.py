@@ -4,18 +4,18 @@ import numpy as np
 import pytest
 from small_world import SmallMap, SmallWorld, no_semantics, pose
 
-from stillroom.data.frame import Frame
-from stillroom.data.map import Map
 from stillroom.data.matches import Matches
 from stillroom.data.motion import Motion, Stage
+from stillroom.data.question import Question
 from stillroom.data.semantics import Box, Semantics
+from stillroom.dynamics.asking import Enough
 from stillroom.dynamics.chain import Chain
-from stillroom.dynamics.enough import leaves_enough, or_less
-from stillroom.protocols import Pending
+from stillroom.schedule import Done
 
 SMALL = SmallMap.of(SmallWorld.of(0), [pose()])
 FRAME = SMALL.frames[0]
 MATCHES = Matches.of(SMALL.id_of[SMALL.seen[0]])
+ENOUGH = Enough(40, or_masks=True)
 
 
 class Fixed:
@@ -24,25 +24,22 @@ class Fixed:
     def __init__(self, first: int, last: int) -> None:
         self.first, self.last, self.asked = first, last, []
 
-    def judge(
-        self,
-        stage: Stage,
-        frame: Frame,
-        matches: Matches,
-        semantics: Pending[Semantics],
-        T_cam_world: np.ndarray,
-        world: Map,
-    ) -> Motion:
-        self.asked.append(stage)
-        motion = Motion.none(len(frame), frame.image.height, frame.image.width)
+    def judge(self, question: Question) -> Motion:
+        self.asked.append(question.stage)
+        motion = question.nothing_moves()
         motion.is_static[self.first : self.last] = False
         motion.moving[self.first : self.last] = True
         return motion
 
 
+def asked_of(matches: Matches, known: Semantics | None = None) -> Question:
+    semantics = no_semantics() if known is None else Done(known)
+    return Question(Stage.LOCAL_MAP, FRAME, matches, semantics, np.eye(4), SMALL.map)
+
+
 def judged(*sieves: Fixed, matches: Matches = MATCHES, min_matches: int = 40) -> Motion:
     chain = Chain(sieves, min_matches)
-    return chain.judge(Stage.LOCAL_MAP, FRAME, matches, no_semantics(), np.eye(4), SMALL.map)
+    return chain.judge(asked_of(matches))
 
 
 def rejected(motion: Motion) -> list[int]:
@@ -86,19 +83,20 @@ def test_where_there_are_few_none_is_taken_away() -> None:
 def test_enough_is_enough(n: int, left: int, enough: bool) -> None:
     motion = Motion.none(len(FRAME), 480, 640)
     motion.is_static[left:] = False
-    assert leaves_enough(motion, MATCHES.keep(np.arange(len(MATCHES)) < n), 40) == enough
+    question = asked_of(MATCHES.keep(np.arange(len(MATCHES)) < n))
+    assert question.leaves_enough(motion, 40) == enough
 
 
 def test_a_verdict_falls_back_to_the_masks_and_then_to_nothing() -> None:
     everything = Motion(np.zeros(len(FRAME), dtype=np.bool_), np.ones((480, 640), dtype=np.bool_))
     some = Semantics(480, 640, (Box(0.0, 0.0, 100.0, 479.0, "person", 1.0),))
-    masked = or_less(everything, FRAME, some, MATCHES, 40)
+    masked = ENOUGH.of(everything, asked_of(MATCHES, some))
     np.testing.assert_array_equal(masked.moving, some.movable)
     np.testing.assert_array_equal(masked.is_static, ~some.movable_at(FRAME.keypoints.raw_px))
     assert not masked.is_static.all()
     all_over = Semantics(480, 640, (Box(0.0, 0.0, 639.0, 479.0, "person", 1.0),))
-    nothing = or_less(everything, FRAME, all_over, MATCHES, 40)
+    nothing = ENOUGH.of(everything, asked_of(MATCHES, all_over))
     assert nothing.is_static.all()
     assert not nothing.moving.any()
     one = Motion.none(len(FRAME), 480, 640)
-    assert or_less(one, FRAME, some, MATCHES, 40) is one
+    assert ENOUGH.of(one, asked_of(MATCHES, some)) is one

@@ -4,6 +4,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
+from asked import ask
 from flat_wall import before_the_wall, in_box, points_on_the_wall
 from small_world import SmallMap, no_semantics, pose
 
@@ -61,7 +62,7 @@ class Scene:
     ) -> Motion:
         matches = self.matches if matches is None else matches
         T_cam_world = se3.inverse(T_world_cam)
-        return sieve.judge(stage, frame or self.frame, matches, Done(semantics), T_cam_world, self.small.map)
+        return ask(sieve, stage, frame or self.frame, matches, Done(semantics), T_cam_world, self.small.map)
 
     @property
     def inside(self) -> np.ndarray:
@@ -247,7 +248,7 @@ def test_it_is_off_while_relocalizing_and_needs_no_semantics_then(scene: Scene) 
             raise AssertionError("awaited")
 
     sieve = scene.with_figure().sieve()
-    motion = sieve.judge(Stage.RELOCALIZATION, scene.frame, scene.matches, Never(), np.eye(4), scene.small.map)
+    motion = ask(sieve, Stage.RELOCALIZATION, scene.frame, scene.matches, Never(), np.eye(4), scene.small.map)
     assert motion.is_static.all()
     assert not motion.moving.any()
 

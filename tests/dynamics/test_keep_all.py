@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from asked import ask
 from small_world import CAMERA, SCALES, SmallWorld, no_semantics, pose
 
 from stillroom.data.map import Map
@@ -24,7 +25,7 @@ def test_every_keypoint_passes_whatever_may_move() -> None:
 def test_nothing_moves_at_any_stage(stage: Stage, semantics: Done[Semantics]) -> None:
     sieve = KeepAllConfig().build(seed=3)
     matches = Matches.of(np.arange(len(FRAME), dtype=np.int32))
-    motion = sieve.judge(stage, FRAME, matches, semantics, np.eye(4), Map(SCALES))
+    motion = ask(sieve, stage, FRAME, matches, semantics, np.eye(4), Map(SCALES))
     assert motion.is_static.shape == (len(FRAME),)
     assert motion.is_static.all()
     assert motion.moving.shape == (CAMERA.height, CAMERA.width)

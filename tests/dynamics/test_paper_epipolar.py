@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from asked import ask
 from flat_wall import in_box
 from small_world import CAMERA, SCALES, SmallWorld, no_semantics, pose
 
@@ -50,7 +51,7 @@ class Pair:
     ) -> Motion:
         sieve = sieve or PaperEpipolarConfig().build()
         matches = matches or self.matches
-        return sieve.judge(stage, self.frame, matches, Done(semantics), np.eye(4), Map(SCALES))
+        return ask(sieve, stage, self.frame, matches, Done(semantics), np.eye(4), Map(SCALES))
 
 
 def normals(then_px: np.ndarray, T_world_now: np.ndarray) -> np.ndarray:

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from asked import ask
 from flat_wall import in_box
 from small_world import SCALES, SmallWorld, no_semantics, pose
 
@@ -19,15 +20,13 @@ LEFT, LOW = Box(0, 0, 299, 479, "person", 0.9), Box(250, 400, 639, 479, "dog", 0
 STAGES = [stage for stage in Stage if stage is not Stage.RELOCALIZATION]
 
 
-def judged(
-    semantics: Semantics, keypoints: np.ndarray | None = None, stage: Stage = Stage.LOCAL_MAP, min_matches: int = 20
-) -> Motion:
+def judged(semantics: Semantics, keypoints: np.ndarray | None = None, stage: Stage = Stage.LOCAL_MAP) -> Motion:
     """Ask about the frame with some keypoints matched, all where not given."""
     chosen = np.arange(len(FRAME)) if keypoints is None else keypoints
     ids = np.full(len(FRAME), -1, np.int32)
     ids[chosen] = np.arange(len(chosen))
-    sieve = WholeBoxesConfig(min_matches).build(seed=0)
-    return sieve.judge(stage, FRAME, Matches.of(ids), Done(semantics), np.eye(4), Map(SCALES))
+    sieve = WholeBoxesConfig().build(seed=0)
+    return ask(sieve, stage, FRAME, Matches.of(ids), Done(semantics), np.eye(4), Map(SCALES))
 
 
 def test_what_lies_in_any_box_goes_and_all_else_stays() -> None:
@@ -60,7 +59,7 @@ def test_boxes_are_looked_up_in_the_image_as_taken() -> None:
     shifted = replace(FRAME.keypoints, px=FRAME.keypoints.px + np.float32(40.0))
     frame, nothing = replace(FRAME, keypoints=shifted), Matches.of(np.full(len(FRAME), -1, np.int32))
     sieve = WholeBoxesConfig().build()
-    motion = sieve.judge(Stage.LOCAL_MAP, frame, nothing, Done(Semantics(480, 640, (LEFT,))), np.eye(4), Map(SCALES))
+    motion = ask(sieve, Stage.LOCAL_MAP, frame, nothing, Done(Semantics(480, 640, (LEFT,))), np.eye(4), Map(SCALES))
     np.testing.assert_array_equal(motion.is_static, ~in_box(FRAME, LEFT))
 
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
+from asked import ask
 from flat_wall import before_the_wall, points_on_the_wall
 from small_world import BLACK, SmallMap, pose
 
@@ -128,7 +129,7 @@ class Play:
             use = ~semantics.movable_at(frame.keypoints.raw_px)
         matches = Matches.of(np.where(use, self.small.id_of[empty_wall()[1]], -1))
         world = self.small.map
-        return self.sieve.judge(stage, frame, matches, Done(semantics), se3.inverse(T_world_cam), world)
+        return ask(self.sieve, stage, frame, matches, Done(semantics), se3.inverse(T_world_cam), world)
 
     def during(self, seconds: float, *things: Thing, boxes: Sequence[int] = ()) -> tuple[Motion, Frame]:
         """Show the same for a while and return the last verdict."""

@@ -7,16 +7,14 @@ import pytest
 from small_world import SmallMap, SmallWorld, no_semantics, pose
 
 from stillroom.config import SlamConfig
-from stillroom.data.frame import Frame
-from stillroom.data.map import Map
 from stillroom.data.matches import Matches
 from stillroom.data.motion import Motion, Stage
+from stillroom.data.question import Question
 from stillroom.data.result import Tracked, TrackingState
-from stillroom.data.semantics import Semantics
 from stillroom.datasets.open import open_dataset
 from stillroom.dynamics.keep_all import KeepAllMatches
 from stillroom.geometry import se3
-from stillroom.protocols import MatchSieve, Pending
+from stillroom.protocols import MatchSieve
 from stillroom.system import build
 from stillroom.tracking.low_cost import LowCostConfig, NoLowCostConfig
 
@@ -29,17 +27,10 @@ class Noting(KeepAllMatches):
     def __init__(self) -> None:
         self.asked: list[tuple[Stage, int, Matches, np.ndarray]] = []
 
-    def judge(
-        self,
-        stage: Stage,
-        frame: Frame,
-        matches: Matches,
-        semantics: Pending[Semantics],
-        T_cam_world: np.ndarray,
-        world: Map,
-    ) -> Motion:
-        self.asked.append((stage, frame.image.index, matches, T_cam_world.copy()))
-        return super().judge(stage, frame, matches, semantics, T_cam_world, world)
+    def judge(self, question: Question) -> Motion:
+        q = question
+        self.asked.append((q.stage, q.frame.image.index, q.matches, q.T_cam_world.copy()))
+        return super().judge(question)
 
 
 @pytest.fixture(scope="module")

@@ -10,6 +10,7 @@ from stillroom.data.frame import Frame
 from stillroom.data.map import Map
 from stillroom.data.matches import Matches
 from stillroom.data.motion import Motion, Stage
+from stillroom.data.question import Question
 from stillroom.data.result import Recovery, Tracked, TrackingState
 from stillroom.geometry import se3
 from stillroom.tracking.tracker import Tracker, TrackerConfig
@@ -25,12 +26,11 @@ class Sieve:
     moves: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
     asked: list[tuple[Stage, Matches]] = field(default_factory=list)
 
-    def judge(
-        self, stage: Stage, frame: Frame, matches: Matches, semantics: object, T_cam_world: np.ndarray, world: Map
-    ) -> Motion:
+    def judge(self, question: Question) -> Motion:
+        matches = question.matches
         assert len(np.unique(matches.point_id)) == len(np.unique(matches.keypoint)) == len(matches)
-        self.asked.append((stage, matches))
-        return Motion(~np.isin(np.arange(len(frame)), self.moves), Motion.none(0, 480, 640).moving)
+        self.asked.append((question.stage, matches))
+        return Motion(~np.isin(np.arange(len(question.frame)), self.moves), Motion.none(0, 480, 640).moving)
 
     @property
     def stages(self) -> list[Stage]:

@@ -5,16 +5,14 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from stillroom.data.frame import Frame
-from stillroom.data.map import Map
-from stillroom.data.map.jumps import JumpFollower
 from stillroom.data.matches import Matches
 from stillroom.data.motion import Motion, Stage
-from stillroom.data.semantics import Semantics
+from stillroom.data.question import Question
+from stillroom.dynamics.asking import Enough
 from stillroom.dynamics.depth_history import DepthHistory, DepthHistoryConfig
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64, I64, Bool
 from stillroom.geometry.epipolar import motion_line_distances_px
-from stillroom.protocols import Pending
 
 
 @dataclass(frozen=True)
@@ -59,43 +57,28 @@ class EpipolarSieve:
         """Start without a past."""
         self.config = config
         self.history = DepthHistory(config.history)
-        self._jumps = JumpFollower()
+        self.enough = Enough(config.min_matches)
 
-    def judge(
-        self,
-        stage: Stage,
-        frame: Frame,
-        matches: Matches,
-        semantics: Pending[Semantics],
-        T_cam_world: F64,
-        world: Map,
-    ) -> Motion:
+    def judge(self, question: Question) -> Motion:
         """Judge every keypoint in a box by depth, and the matched ones by their epipolar lines too."""
-        if stage is Stage.RELOCALIZATION:
-            return Motion.none(len(frame), frame.image.height, frame.image.width)
-        self._jumps.follow(world, (self.history,))
-        motion = self.verdict(stage, frame, matches, semantics.result(), T_cam_world, world)
-        if stage is Stage.LOCAL_MAP:
-            self.history.remember(frame, T_cam_world)
-        stay = int(np.count_nonzero(motion.is_static[matches.keypoint]))
-        if stay < self.config.min_matches <= len(matches):
-            return Motion.none(len(frame), frame.image.height, frame.image.width)
-        return motion
-
-    def verdict(
-        self, stage: Stage, frame: Frame, matches: Matches, known: Semantics, T_cam_world: F64, world: Map
-    ) -> Motion:
-        """Return what `judge` thinks before it asks whether enough matches would stay; nothing is remembered."""
-        inside = known.movable_at(frame.keypoints.raw_px)
+        inside, matches = question.may_move, question.matches
         is_static = ~inside
-        is_static[inside] = self._was_there_before(frame, np.flatnonzero(inside), T_cam_world)
+        is_static[inside] = self._was_there_before(question.frame, np.flatnonzero(inside), question.T_cam_world)
         off_line = inside[matches.keypoint]
-        off_line[off_line] = self.is_off_its_line(stage, frame, matches.keep(off_line), T_cam_world, world)
+        off_line[off_line] = self.is_off_its_line(question, matches.keep(off_line))
         is_static[matches.keypoint[off_line]] = False
-        return Motion(is_static, known.movable)
+        return Motion(is_static, question.known.movable)
+
+    def remember(self, frame: Frame, T_cam_world: F64, keyframe: int) -> None:
+        """Take the depth image into the history."""
+        self.history.remember(frame, T_cam_world)
+
+    def corrected(self, T_new_old: F64) -> None:
+        """Move the history along."""
+        self.history.follow(T_new_old)
 
     def _was_there_before(self, frame: Frame, keypoint: I64, T_cam_world: F64) -> Bool:
-        """Tell which keypoints (K,) lie on a surface that earlier depth images show at the same place."""
+        """Return which keypoints (K,) lie on a surface that earlier depth images show at the same place."""
         kp = frame.keypoints
         depth_m = kp.depth_m[keypoint]
         points_cam = frame.camera.back_project(kp.px[keypoint], depth_m)
@@ -104,14 +87,15 @@ class EpipolarSieve:
         shown: Bool = (depth_m > 0) & (evidence.agrees >= self.config.min_agreeing) & (evidence.empty == 0)
         return shown
 
-    def is_off_its_line(self, stage: Stage, frame: Frame, matches: Matches, T_cam_world: F64, world: Map) -> Bool:
-        """Tell which matches (M,) lie too far from the epipolar line of where their point was first seen."""
+    def is_off_its_line(self, question: Question, matches: Matches) -> Bool:
+        """Return which matches (M,) lie too far from the epipolar line of where their point was first seen."""
         if len(matches) == 0:
             return np.zeros(0, dtype=np.bool_)
+        frame, world = question.frame, question.world
         oldest = world.oldest_observations(matches.point_id)
         camera = frame.camera
         distance_px = motion_line_distances_px(
-            T_cam_world,
+            question.T_cam_world,
             world.keyframes.T_world_cam,
             world.keypoints.keyframe[oldest],
             world.keypoints.px[oldest].astype(np.float64),
@@ -119,4 +103,4 @@ class EpipolarSieve:
             np.array([camera.fx, camera.fy, camera.cx, camera.cy]),
         )
         scale = frame.scales.factors[frame.keypoints.octave[matches.keypoint]]
-        return np.asarray(distance_px > self.config.threshold_px(stage) * scale)
+        return np.asarray(distance_px > self.config.threshold_px(question.stage) * scale)

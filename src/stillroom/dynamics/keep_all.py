@@ -3,11 +3,9 @@
 from dataclasses import dataclass
 
 from stillroom.data.frame import Frame
-from stillroom.data.map import Map
-from stillroom.data.matches import Matches
-from stillroom.data.motion import Motion, Stage
+from stillroom.data.motion import Motion
+from stillroom.data.question import Question
 from stillroom.data.semantics import Semantics
-from stillroom.geometry.arrays import F64
 from stillroom.protocols import KeypointSieve, Pending
 
 
@@ -40,14 +38,6 @@ class KeepAllConfig:
 class KeepAllMatches:
     """Sieve 2 that lets every match pass."""
 
-    def judge(
-        self,
-        stage: Stage,
-        frame: Frame,
-        matches: Matches,
-        semantics: Pending[Semantics],
-        T_cam_world: F64,
-        world: Map,
-    ) -> Motion:
+    def judge(self, question: Question) -> Motion:
         """Return that nothing moves."""
-        return Motion.none(len(frame), frame.image.height, frame.image.width)
+        return question.nothing_moves()

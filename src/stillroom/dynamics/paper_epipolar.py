@@ -6,13 +6,12 @@ import cv2
 import numpy as np
 
 from stillroom.data.frame import Frame
-from stillroom.data.map import Map
 from stillroom.data.matches import Matches
 from stillroom.data.motion import Motion, Stage
-from stillroom.data.semantics import Semantics
+from stillroom.data.question import Question
+from stillroom.dynamics.asking import Enough
 from stillroom.geometry.arrays import F64, Bool
 from stillroom.geometry.epipolar import line_distances_px
-from stillroom.protocols import Pending
 
 _MIN_FOR_F = 15
 
@@ -56,25 +55,17 @@ class PaperEpipolarSieve:
         self._usac.sampler = cv2.SAMPLING_UNIFORM
         self._usac.loMethod = cv2.LOCAL_OPTIM_SIGMA
         self._judged = -1
+        self.enough = Enough(config.min_matches)
         self._is_static = np.zeros(0, dtype=np.bool_)
 
-    def judge(
-        self,
-        stage: Stage,
-        frame: Frame,
-        matches: Matches,
-        semantics: Pending[Semantics],
-        T_cam_world: F64,
-        world: Map,
-    ) -> Motion:
+    def judge(self, question: Question) -> Motion:
         """Judge the matches inside boxes by a fundamental matrix of those outside (Eq. 1–2)."""
-        if stage is Stage.RELOCALIZATION:
-            return Motion.none(len(frame), frame.image.height, frame.image.width)
+        stage, frame, matches = question.stage, question.frame, question.matches
         if frame.image.index != self._judged:
             self._judged, self._is_static = frame.image.index, np.ones(len(frame), dtype=np.bool_)
-        movable = semantics.result()
+        movable = question.known
         if stage in (Stage.MOTION_MODEL, Stage.REFERENCE_KEYFRAME) and movable.has_any:
-            inside = movable.movable_at(frame.keypoints.raw_px)[matches.keypoint]
+            inside = question.may_move[matches.keypoint]
             fails = self._fails(stage, frame, matches, inside)
             if np.count_nonzero(~fails) >= min(self.config.min_matches, len(matches)):
                 self._is_static[matches.keypoint[fails]] = False

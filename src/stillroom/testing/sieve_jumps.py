@@ -10,23 +10,23 @@ In a test of your own::
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 
 import numpy as np
 
 from stillroom.config import SlamConfig
-from stillroom.data.frame import Frame
 from stillroom.data.image import RgbdImage
 from stillroom.data.map import Map
-from stillroom.data.matches import Matches
-from stillroom.data.motion import Motion, Stage
+from stillroom.data.motion import Motion
+from stillroom.data.question import Question
 from stillroom.data.semantics import Semantics
 from stillroom.datasets.open import open_dataset
 from stillroom.datasets.selection import select
+from stillroom.dynamics.asking import Asking
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64
 from stillroom.geometry.camera import Camera
-from stillroom.protocols import Dataset, MatchSieve, Pending
-from stillroom.schedule import Done
+from stillroom.protocols import Dataset, MatchSieve
 from stillroom.system import build as build_slam
 from stillroom.testing.true_clusters import true_clusters
 
@@ -81,30 +81,22 @@ class _Tracking:
     """Sits in the tracker's socket, puts each of its questions to the sieve, and to a twin after the map jumped."""
 
     def __init__(self, build: Callable[[int], MatchSieve], jump_at: int) -> None:
-        self.sieve, self.twin, self.jump_at, self.n_moving = build(SEED), build(SEED), jump_at, 0
+        self.sieve, self.twin, self.jump_at, self.n_moving = Asking(build(SEED)), Asking(build(SEED)), jump_at, 0
         self.jump = se3.exp(np.array(FAR))
 
     def build(self, seed: int) -> MatchSieve:
         return self
 
-    def judge(
-        self,
-        stage: Stage,
-        frame: Frame,
-        matches: Matches,
-        semantics: Pending[Semantics],
-        T_cam_world: F64,
-        world: Map,
-    ) -> Motion:
-        known, index = Done(semantics.result()), frame.image.index
-        motion = self.sieve.judge(stage, frame, matches, known, T_cam_world, world)
+    def judge(self, question: Question) -> Motion:
+        world, index = question.world, question.frame.image.index
+        motion = self.sieve.judge(question)
         if index < self.jump_at:
-            other = self.twin.judge(stage, frame, matches, known, T_cam_world, world)
+            other = self.twin.judge(question)
         else:
             self.n_moving += bool(motion.moving.any())
             with _jumped(world, self.jump):
-                other = self.twin.judge(stage, frame, matches, known, T_cam_world @ se3.inverse(self.jump), world)
-        where = f"image {index}, {stage.name}: after the map jumped at {self.jump_at}, the sieve"
+                other = self.twin.judge(replace(question, T_cam_world=question.T_cam_world @ se3.inverse(self.jump)))
+        where = f"image {index}, {question.stage.name}: after the map jumped at {self.jump_at}, the sieve"
         n = int(np.count_nonzero(motion.is_static != other.is_static))
         assert n == 0, f"{where} says otherwise of {n} keypoints"
         n = int(np.count_nonzero(motion.moving != other.moving))

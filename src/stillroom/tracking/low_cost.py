@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from stillroom.data.frame import Frame
 from stillroom.data.map import Map
 from stillroom.data.motion import Stage
+from stillroom.data.question import Question
 from stillroom.data.result import Tracked
 from stillroom.data.semantics import Semantics
 from stillroom.geometry.arrays import F64
@@ -88,5 +89,5 @@ class LowCost:
         if estimate.n_inliers < self.config.min_matches:
             return T_cam_world
         matches = matches.keep(estimate.is_inlier)
-        self.sieve.judge(Stage.LOW_COST, frame, matches, semantics, estimate.T_cam_world, world)
+        self.sieve.judge(Question(Stage.LOW_COST, frame, matches, semantics, estimate.T_cam_world, world))
         return estimate.T_cam_world

@@ -8,6 +8,7 @@ from stillroom.data.frame import Frame
 from stillroom.data.map import Map, submaps
 from stillroom.data.matches import Matches
 from stillroom.data.motion import Motion, Stage
+from stillroom.data.question import Question
 from stillroom.data.result import Recovery, Tracked, TrackingState
 from stillroom.data.semantics import Semantics
 from stillroom.geometry import se3
@@ -103,7 +104,7 @@ class Tracker:
         """Return the frame as one that begins a map, or a sub-map where there is one, if enough is seen in it."""
         nothing = np.full(len(frame), -1, dtype=np.int32)
         T_world_cam = submaps.origin(world.n_submaps)
-        motion = self.sieve.judge(Stage.LOCAL_MAP, frame, Matches.of(nothing), semantics, T_world_cam, world)
+        motion = self.sieve.judge(Question(Stage.LOCAL_MAP, frame, Matches.of(nothing), semantics, T_world_cam, world))
         usable = frame.is_static & motion.is_static & (frame.keypoints.depth_m > 0)
         if usable.sum() < self.config.min_initial_keypoints:
             return Tracked(frame, TrackingState.NOT_INITIALIZED, None, nothing, motion)
@@ -129,7 +130,7 @@ class Tracker:
             recovery: How the pose was found.
         """
         matches = Matches.of(point_ids)
-        motion = self.sieve.judge(Stage.RELOCALIZATION, frame, matches, semantics, T_cam_world, world)
+        motion = self.sieve.judge(Question(Stage.RELOCALIZATION, frame, matches, semantics, T_cam_world, world))
         fix = _Fix(T_cam_world, np.where(motion.is_static, point_ids, np.int32(-1)), motion, np.zeros(0, np.int32))
         tracked = self._with_local_map(frame, fix, self._reference, semantics, world)
         if tracked.n_inliers < self.config.min_inliers_recovered:
@@ -165,7 +166,7 @@ class Tracker:
     ) -> _Fix | None:
         for widen in (1.0, 2.0):
             matches = correspondences.with_last_frame(frame, last, guess, world, widen * self.config.window_px)
-            motion = self.sieve.judge(Stage.MOTION_MODEL, frame, matches, semantics, guess, world)
+            motion = self.sieve.judge(Question(Stage.MOTION_MODEL, frame, matches, semantics, guess, world))
             matches = matches.keep(motion.is_static[matches.keypoint])
             if len(matches) >= self.config.min_matches:
                 fix = self._fix(frame, guess, matches, motion, world)
@@ -181,7 +182,7 @@ class Tracker:
             keyframe = int(world.keyframes.parent[keyframe])
         matches = correspondences.with_keyframe(frame, keyframe, world)
         guess = se3.inverse(last.T_world_cam)
-        motion = self.sieve.judge(Stage.REFERENCE_KEYFRAME, frame, matches, semantics, guess, world)
+        motion = self.sieve.judge(Question(Stage.REFERENCE_KEYFRAME, frame, matches, semantics, guess, world))
         matches = matches.keep(motion.is_static[matches.keypoint])
         if len(matches) < self.config.min_keyframe_matches:
             return None
@@ -199,7 +200,7 @@ class Tracker:
         point_ids = fix.point_ids.copy()
         point_ids[found.keypoint] = found.point_id
         matches = Matches.of(point_ids)
-        motion = self.sieve.judge(Stage.LOCAL_MAP, frame, matches, semantics, fix.T_cam_world, world)
+        motion = self.sieve.judge(Question(Stage.LOCAL_MAP, frame, matches, semantics, fix.T_cam_world, world))
         matches = matches.keep(motion.is_static[matches.keypoint])
         refined = self._fix(frame, fix.T_cam_world, matches, motion, world)
         world.points.n_visible[visible] += 1

@@ -8,11 +8,8 @@ import numpy as np
 from stillroom.config import SlamConfig
 from stillroom.config.kinds import DYNAMICS
 from stillroom.data.cloud.dense_cloud import DenseCloud
-from stillroom.data.frame import Frame
-from stillroom.data.map import Map
-from stillroom.data.matches import Matches
-from stillroom.data.motion import Motion, Stage
-from stillroom.data.semantics import Semantics
+from stillroom.data.motion import Motion
+from stillroom.data.question import Question
 from stillroom.datasets.open import open_dataset
 from stillroom.dense.dense_mapper import DenseMapperConfig
 from stillroom.dense.export.mesh import MeshConfig
@@ -20,15 +17,15 @@ from stillroom.dense.export.signed_distance import blocks
 from stillroom.dense.inpainting.painter import InpaintingConfig
 from stillroom.dynamics.ants.path import PathConfig
 from stillroom.dynamics.ants.search import ReverseSearchConfig
+from stillroom.dynamics.asking import Asking
 from stillroom.dynamics.clusters.sieve import ClusterSieveConfig
 from stillroom.dynamics.homography.sieve import CompensatedHomographyConfig
 from stillroom.evaluation.ghosts.patches import distances_to_patches_m
 from stillroom.evaluation.ghosts.views import DepthView, settled, sightings
 from stillroom.features.places.branch_matching import match_by_branch
 from stillroom.features.places.training import TrainingConfig, train
-from stillroom.geometry.arrays import F64
 from stillroom.optimize.reduced_system import SparseSystem
-from stillroom.protocols import MatchSieve, Pending
+from stillroom.protocols import MatchSieve
 from stillroom.semantics.depth_clusters import DepthClustersConfig
 from stillroom.semantics.truth import TruthConfig
 from stillroom.system import Slam, build
@@ -151,18 +148,10 @@ class EverySieve:
 
     def __init__(self, spokesman: MatchSieve, others: list[MatchSieve]) -> None:
         """Take them."""
-        self._spokesman, self._others = spokesman, others
+        self._spokesman, self._others = Asking(spokesman), [Asking(sieve) for sieve in others]
 
-    def judge(
-        self,
-        stage: Stage,
-        frame: Frame,
-        matches: Matches,
-        semantics: Pending[Semantics],
-        T_cam_world: F64,
-        world: Map,
-    ) -> Motion:
+    def judge(self, question: Question) -> Motion:
         """Judge as the spokesman does."""
         for sieve in self._others:
-            sieve.judge(stage, frame, matches, semantics, T_cam_world, world)
-        return self._spokesman.judge(stage, frame, matches, semantics, T_cam_world, world)
+            sieve.judge(question)
+        return self._spokesman.judge(question)

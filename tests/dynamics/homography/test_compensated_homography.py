@@ -5,6 +5,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from asked import ask as put
 
 from stillroom.data.frame import Frame
 from stillroom.data.map import Map
@@ -48,7 +49,7 @@ def ask(
 ) -> Motion:
     matches = matches or Matches.of(np.full(len(frame), -1, np.int32))
     known = known or nothing(frame.image.height, frame.image.width)
-    return sieve.judge(stage, frame, matches, Done(known), T_cam_world, world or Map(frame.scales))
+    return put(sieve, stage, frame, matches, Done(known), T_cam_world, world or Map(frame.scales))
 
 
 def run(config: CompensatedHomographyConfig, seen: list, seed: int = 0, known=lambda frame: None) -> list[Motion]:

@@ -6,6 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from asked import ask
 from flat_wall import before_the_wall
 from small_world import CAMERA, SCALES, SmallWorld, no_semantics, pose
 
@@ -143,7 +144,7 @@ def asked(
         frame = before_the_wall(frame, T_world_cam, FIGURE if index else None, z_m)
         of_it = Done(semantics) if index and semantics is not None else no_semantics()
         at = stage if index else Stage.LOCAL_MAP
-        motion = sieve.judge(at, frame, nothing, of_it, se3.inverse(T_world_cam), world)
+        motion = ask(sieve, at, frame, nothing, of_it, se3.inverse(T_world_cam), world)
         if index == 0:
             unseen = np.full(len(frame), -1, np.int32)
             world.add_keyframe(frame, T_world_cam, unseen, motion.is_static, parent=-1)
@@ -176,16 +177,16 @@ def test_what_low_cost_tracking_found_holds_as_long_as_its_pose_does(away_m: flo
     sieve, world, nothing = BY_GEOMETRY.build(seed=0), Map(SCALES), Matches.of(np.full(0, -1, np.int32))
     empty, _ = WORLD.look(pose(), index=0)
     empty = before_the_wall(empty, pose(), None, 1.5)
-    sieve.judge(Stage.LOCAL_MAP, empty, nothing, no_semantics(), np.eye(4), world)
+    ask(sieve, Stage.LOCAL_MAP, empty, nothing, no_semantics(), np.eye(4), world)
     world.add_keyframe(empty, np.eye(4), np.full(len(empty), -1, np.int32), empty.is_static, parent=-1)
     frame, _ = WORLD.look(pose(), index=1)
     frame = before_the_wall(frame, pose(), FIGURE, 1.5)
-    quick = sieve.judge(Stage.LOW_COST, frame, nothing, no_semantics(), np.eye(4), world)
+    quick = ask(sieve, Stage.LOW_COST, frame, nothing, no_semantics(), np.eye(4), world)
     assert quick.moving.any(), "geometry is asked there"
-    later = sieve.judge(Stage.MOTION_MODEL, frame, nothing, no_semantics(), pose(away_m), world)
+    later = ask(sieve, Stage.MOTION_MODEL, frame, nothing, no_semantics(), pose(away_m), world)
     assert later.moving.any() == (away_m < 0.05)
     asked_anew, sieve.geometry.mask = [], lambda *question: asked_anew.append(question)  # type: ignore[method-assign]
-    final = sieve.judge(Stage.LOCAL_MAP, frame, nothing, no_semantics(), pose(away_m), world)
+    final = ask(sieve, Stage.LOCAL_MAP, frame, nothing, no_semantics(), pose(away_m), world)
     assert len(asked_anew) == (away_m > 0.05)
     np.testing.assert_array_equal(final.moving, later.moving)
 

@@ -9,13 +9,15 @@ from stillroom.data.image import RgbdImage
 from stillroom.data.map.jumps import JumpFollower
 from stillroom.data.matches import Matches
 from stillroom.data.motion import Stage
+from stillroom.data.question import Question
 from stillroom.data.result import FrameResult, Tracked
 from stillroom.data.semantics import Semantics, nothing
 from stillroom.dynamics.ants.comparison import PointSet, SearchComparison, compare
 from stillroom.dynamics.ants.path import PATHS
 from stillroom.dynamics.ants.search import Found, ReverseSearch, ReverseSearchConfig
+from stillroom.dynamics.asking import Asking
 from stillroom.dynamics.homography.sieve import CompensatedHomographyConfig, Findings
-from stillroom.dynamics.multiview.geometry import DYNAMIC, Geometry, GeometryConfig, Question
+from stillroom.dynamics.multiview.geometry import DYNAMIC, Geometry, GeometryConfig, PointsInView
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import I64, Bool
 from stillroom.schedule import Done
@@ -86,6 +88,7 @@ class GeometryOnlooker:
         """Start without a past."""
         self.config, self._slam, self._seed = config, slam, seed
         self._sieve = replace(config.homography, search=EXHAUSTIVE).build(seed)
+        self._asking = Asking(self._sieve)
         keyframes = replace(config.multi_view.keyframes, grid_px=0)
         self._multi_view = replace(config.multi_view, keyframes=keyframes).build()
         self._jumps = JumpFollower()
@@ -103,11 +106,13 @@ class GeometryOnlooker:
         known = semantics if self.config.network else nothing(frame.image.height, frame.image.width)
         unmatched = Matches.of(np.full(len(frame), -1, dtype=np.int32))
         self._images.append(frame.image)
-        self._jumps.follow(world, (self._multi_view.views,))
-        self._sieve.judge(Stage.LOCAL_MAP, frame, unmatched, Done(known), T_cam_world, world)
-        findings, question = self._sieve.findings, self._multi_view.question(frame, T_cam_world, world)
-        if findings is not None and question is not None:
-            self._compare(findings, question, known.movable if known.has_any else None)
+        T_new_old = self._jumps.missed(world)
+        if T_new_old is not None:
+            self._multi_view.views.follow(T_new_old)
+        self._asking.judge(Question(Stage.LOCAL_MAP, frame, unmatched, Done(known), T_cam_world, world))
+        findings, seen = self._sieve.findings, self._multi_view.points_in_view(frame, T_cam_world, world)
+        if findings is not None and seen is not None:
+            self._compare(findings, seen, known.movable if known.has_any else None)
         self._multi_view.views.note(frame, T_cam_world, tracked.motion.moving)
         if result.is_keyframe:
             self._multi_view.views.settle(world)
@@ -115,11 +120,11 @@ class GeometryOnlooker:
     def close(self) -> None:
         """Nothing is left open."""
 
-    def _compare(self, findings: Findings, question: Question, mask: Bool | None) -> None:
+    def _compare(self, findings: Findings, seen: PointsInView, mask: Bool | None) -> None:
         self._show(findings, mask)
         sets = {
-            HOMOGRAPHY: _by_homography(findings, self._multi_view, question, mask),
-            MULTI_VIEW: _by_depth(self._multi_view, question, mask),
+            HOMOGRAPHY: _by_homography(findings, self._multi_view, seen, mask),
+            MULTI_VIEW: _by_depth(self._multi_view, seen, mask),
         }
         for test, points in sets.items():
             for search, compared in compare(points, self._searches[test], self.config.repeats).items():
@@ -145,27 +150,27 @@ class GeometryOnlooker:
         return {kind: replace(config, path=replace(config.path, kind=kind)).build(self._seed) for kind in PATHS}
 
 
-def _by_homography(findings: Findings, geometry: Geometry, question: Question, mask: Bool | None) -> PointSet:
+def _by_homography(findings: Findings, geometry: Geometry, seen: PointsInView, mask: Bool | None) -> PointSet:
     """Return the present keypoints with PSPNet-SLAM's test; regions grow from them as they stand."""
     px = findings.test.raw_px
 
     def grow(moves: Bool) -> Bool:
-        return geometry.grow(question, np.rint(px[moves]).astype(np.int32))
+        return geometry.grow(seen, np.rint(px[moves]).astype(np.int32))
 
     return PointSet(px, findings.test.is_dynamic, grow, mask)
 
 
-def _by_depth(geometry: Geometry, question: Question, mask: Bool | None) -> PointSet:
+def _by_depth(geometry: Geometry, seen: PointsInView, mask: Bool | None) -> PointSet:
     """Return the keyframes' keypoints that are in view, with DynaSLAM's test; regions grow from what stands there."""
-    points = question.in_view
+    points = seen.in_view
     if mask is not None:
-        column, row = question.points.px[points].T
+        column, row = seen.points.px[points].T
         points = points[~mask[row, column]]
 
     def test(which: I64) -> Bool:
-        return np.asarray(geometry.test(question, points[which]) == DYNAMIC)
+        return np.asarray(geometry.test(seen, points[which]) == DYNAMIC)
 
     def grow(moves: Bool) -> Bool:
-        return geometry.grow(question, question.before_px[points[moves]])
+        return geometry.grow(seen, seen.before_px[points[moves]])
 
-    return PointSet(question.points.px[points].astype(np.float64), test, grow, mask)
+    return PointSet(seen.points.px[points].astype(np.float64), test, grow, mask)

@@ -1,16 +1,14 @@
 """OC-SLAM's combined mismatch rejection (2.5): boxes and clusters together say what moves."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from stillroom.data.cloud.clusters import Clusters
 from stillroom.data.frame import Frame
-from stillroom.data.map import Map
-from stillroom.data.map.jumps import JumpFollower
-from stillroom.data.matches import Matches
 from stillroom.data.motion import Motion, Stage
-from stillroom.data.semantics import Semantics
+from stillroom.data.question import Question
+from stillroom.dynamics.asking import Enough, ImageMemory
 from stillroom.dynamics.clusters.belief import Belief
 from stillroom.dynamics.clusters.pixels import MovingPixels
 from stillroom.dynamics.clusters.samples import Sampler, Samples
@@ -18,7 +16,6 @@ from stillroom.dynamics.depth_history import DepthHistory, DepthHistoryConfig
 from stillroom.dynamics.epipolar import EpipolarConfig
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64
-from stillroom.protocols import Pending
 
 SAME_M, SAME_RAD = 0.01, 0.003
 """Poses this close to each other see the same past: a centimetre at three metres."""
@@ -74,21 +71,12 @@ class _Past:
     """What earlier images say of the clusters of one image, seen from a pose.
 
     Attributes:
-        clusters, T_cam_world: Of whom, and from where.
         inherited: Log-odds that come with them (K,).
         failing: Share of their points where it was empty before (K,), ½ where unknown.
     """
 
-    clusters: Clusters
-    T_cam_world: F64
     inherited: F64
     failing: F64
-
-    def holds_for(self, clusters: Clusters, T_cam_world: F64) -> bool:
-        """Tell whether another pose would hear the same: within what depth is compared to."""
-        change = T_cam_world @ se3.inverse(self.T_cam_world)
-        near = float(np.linalg.norm(change[:3, 3])) < SAME_M and float(np.trace(change[:3, :3])) > 3.0 - SAME_RAD**2
-        return self.clusters is clusters and near
 
 
 class ClusterSieve:
@@ -102,61 +90,58 @@ class ClusterSieve:
         self._sampler = Sampler()
         self._belief = Belief(config.fades_in_s, config.reach_m)
         self._pixels = MovingPixels(config.margin_px)
-        self._past: _Past | None = None
-        self._jumps = JumpFollower()
+        self._past: ImageMemory[_Past] = ImageMemory(SAME_M, SAME_RAD)
+        self._believed: ImageMemory[tuple[Clusters, F64]] = ImageMemory()
+        self.enough = Enough(config.boxes.min_matches)
 
-    def judge(
-        self,
-        stage: Stage,
-        frame: Frame,
-        matches: Matches,
-        semantics: Pending[Semantics],
-        T_cam_world: F64,
-        world: Map,
-    ) -> Motion:
+    def judge(self, question: Question) -> Motion:
         """Judge boxes and clusters, and every keypoint by what it lies on."""
-        nothing_moves = Motion.none(len(frame), frame.image.height, frame.image.width)
-        if stage is Stage.RELOCALIZATION:
-            return nothing_moves
-        if self._jumps.follow(world, (self._boxes.history, self._history, self._belief)):
-            self._past = None
-        known = semantics.result()
-        motion = self._boxes.verdict(stage, frame, matches, known, T_cam_world, world)
+        motion, known, frame = self._boxes.judge(question), question.known, question.frame
         clusters = known.clusters
-        if clusters is not None:
-            samples = self._sampler.take(frame, clusters)
-            belief = self._believe(frame, matches, clusters, samples, T_cam_world, world)
-            moving = self._pixels.of(clusters, belief, known.movable)
-            column, row = np.rint(frame.keypoints.raw_px).astype(np.int64).T
-            moves = moving[row, column] & ~known.movable[row, column]  # in boxes their own sieve knows better
-            labels = clusters.labels[row, column]
-            moves |= np.append(belief > 0, (False, False))[labels]
-            motion = Motion(motion.is_static & ~moves, moving)
-            if stage is Stage.LOCAL_MAP:
-                self._belief.remember(frame, clusters, belief, T_cam_world)
-                self._history.remember(frame, T_cam_world)
-        if stage is Stage.LOCAL_MAP:
-            self._boxes.history.remember(frame, T_cam_world)
-        stay = int(np.count_nonzero(motion.is_static[matches.keypoint]))
-        return nothing_moves if stay < self.config.boxes.min_matches <= len(matches) else motion
+        if clusters is None:
+            return motion
+        belief = self._believe(question, clusters)
+        self._believed.keep(frame.image, question.T_cam_world, (clusters, belief))
+        moving = self._pixels.of(clusters, belief, known.movable)
+        column, row = np.rint(frame.keypoints.raw_px).astype(np.int64).T
+        moves = moving[row, column] & ~known.movable[row, column]  # in boxes their own sieve knows better
+        labels = clusters.labels[row, column]
+        moves |= np.append(belief > 0, (False, False))[labels]
+        return Motion(motion.is_static & ~moves, moving)
 
-    def _believe(
-        self, frame: Frame, matches: Matches, clusters: Clusters, samples: Samples, T_cam_world: F64, world: Map
-    ) -> F64:
+    def remember(self, frame: Frame, T_cam_world: F64, keyframe: int) -> None:
+        """Take depth image and beliefs into the memories."""
+        believed = self._believed.of(frame.image)
+        if believed is not None:
+            self._belief.remember(frame, *believed, T_cam_world)
+            self._history.remember(frame, T_cam_world)
+        self._boxes.remember(frame, T_cam_world, keyframe)
+
+    def corrected(self, T_new_old: F64) -> None:
+        """Move the memories along."""
+        self._boxes.corrected(T_new_old)
+        self._history.follow(T_new_old)
+        self._belief.follow(T_new_old)
+        self._past.forget()
+
+    def _believe(self, question: Question, clusters: Clusters) -> F64:
         """Return the log-odds (K,) that each cluster moves."""
-        config, past = self.config, self._past_of(frame, clusters, samples, T_cam_world)
+        config, past = self.config, self._past_of(question, clusters)
         failing = 2.0 * past.failing - 1.0
-        failing += np.maximum(0.0, 2.0 * self._failing_pairs(frame, matches, clusters, T_cam_world, world) - 1.0)
+        failing += np.maximum(0.0, 2.0 * self._failing_pairs(question, clusters) - 1.0)
         belief = past.inherited + config.gain * failing + config.suspicion * (clusters.box >= 0)
         return np.asarray(np.clip(belief, -config.limit, config.limit))
 
-    def _past_of(self, frame: Frame, clusters: Clusters, samples: Samples, T_cam_world: F64) -> "_Past":
+    def _past_of(self, question: Question, clusters: Clusters) -> "_Past":
         """Return what earlier images say; asked again from nearly the same pose, what they said before."""
-        if self._past is None or not self._past.holds_for(clusters, T_cam_world):
+        frame, T_cam_world = question.frame, question.T_cam_world
+        past = self._past.near(frame.image, T_cam_world)
+        if past is None:
+            samples = self._sampler.take(frame, clusters)
             inherited = self._belief.of(samples, len(clusters), T_cam_world, frame.camera, frame.timestamp_s)
             failing = self._failing_points(frame, clusters, samples, T_cam_world)
-            self._past = _Past(clusters, T_cam_world.copy(), inherited, failing)
-        return self._past
+            past = self._past.keep(frame.image, T_cam_world, _Past(inherited, failing))
+        return past
 
     def _failing_points(self, frame: Frame, clusters: Clusters, samples: Samples, T_cam_world: F64) -> F64:
         """Return the share (K,) of each cluster's points that lie where it was empty before; ½ where unknown."""
@@ -168,8 +153,9 @@ class ClusterSieve:
         judged = failing + holding >= np.maximum(4.0, self.config.min_known_share * samples.count(n))
         return np.where(judged, failing / np.maximum(failing + holding, 1.0), 0.5)
 
-    def _failing_pairs(self, frame: Frame, matches: Matches, clusters: Clusters, T_cam_world: F64, world: Map) -> F64:
+    def _failing_pairs(self, question: Question, clusters: Clusters) -> F64:
         """Return the share (K,) of each cluster's matches that fail; ½ where there are too few."""
+        frame, matches = question.frame, question.matches
         cluster = clusters.labels_at(frame.keypoints.raw_px[matches.keypoint]).astype(np.int64)
         on = cluster >= 0
         cluster, pairs = cluster[on], matches.keep(on)
@@ -177,11 +163,11 @@ class ClusterSieve:
             return np.full(len(clusters), 0.5)
         kp = frame.keypoints
         depth_m = kp.depth_m[pairs.keypoint]
-        here_m = se3.transform(T_cam_world, world.points.position_m[pairs.point_id])
+        here_m = se3.transform(question.T_cam_world, question.world.points.position_m[pairs.point_id])
         seen_m = frame.camera.back_project(kp.px[pairs.keypoint], depth_m)
         step_m = np.maximum(self.config.max_step_m, self.config.max_step_share * depth_m)
         fails = (depth_m > 0) & (np.linalg.norm(here_m - seen_m, axis=1) > step_m)
-        fails |= self._boxes.is_off_its_line(Stage.LOCAL_MAP, frame, pairs, T_cam_world, world)
+        fails |= self._boxes.is_off_its_line(replace(question, stage=Stage.LOCAL_MAP), pairs)
         n = np.bincount(cluster, minlength=len(clusters))
         share = np.bincount(cluster, fails, minlength=len(clusters)) / np.maximum(n, 1)
         return np.where(n >= self.config.min_pairs, share, 0.5)

@@ -8,20 +8,17 @@ import numpy as np
 
 from stillroom.data.frame import Frame
 from stillroom.data.image import RgbdImage
-from stillroom.data.map import Map
-from stillroom.data.map.jumps import JumpFollower
-from stillroom.data.matches import Matches
-from stillroom.data.motion import Motion, Stage
+from stillroom.data.motion import Motion
+from stillroom.data.question import Question
 from stillroom.data.semantics import Semantics
 from stillroom.dynamics.ants.search import Found, ReverseSearchConfig, exhaustive
-from stillroom.dynamics.enough import or_less
+from stillroom.dynamics.asking import Enough
 from stillroom.dynamics.homography.compensation import CameraMotion, Compensation, CompensationConfig
 from stillroom.dynamics.homography.past import Past, view_of
 from stillroom.dynamics.homography.point_motion import DYNAMIC, UNKNOWN, PointTest, PointTestConfig, View
 from stillroom.errors import ConfigError
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F32, F64, I64, U8, Bool
-from stillroom.protocols import Pending
 
 SEARCHES = ("reverse", "exhaustive")
 
@@ -100,36 +97,35 @@ class CompensatedHomographySieve:
         self.config, self.seed = config, seed
         self._compensation = Compensation(config.compensation, seed)
         self._past = Past(config.earlier_s)
-        self._jumps = JumpFollower()
+        self.enough = Enough(config.min_matches, or_masks=True)
         self._ants = config.ants.build(seed)
         self._asked: Frame | None = None
         self._remembered: RgbdImage | None = None
         self.findings: Findings | None = None
 
-    def judge(
-        self,
-        stage: Stage,
-        frame: Frame,
-        matches: Matches,
-        semantics: Pending[Semantics],
-        T_cam_world: F64,
-        world: Map,
-    ) -> Motion:
+    def judge(self, question: Question) -> Motion:
         """Judge by the masks, and outside them by geometry."""
-        if stage is Stage.RELOCALIZATION:
-            return Motion.none(len(frame), frame.image.height, frame.image.width)
-        self._jumps.follow(world, (self._past,))
-        known = semantics.result()
+        frame, known = question.frame, question.known
         if self._asked is None or self._asked.image is not frame.image:
             self._view, self.findings = view_of(frame.image), None
         if self.findings is None or self._asked is None or self._asked.keypoints is not frame.keypoints:
             # A later stage asks with a better pose, in case the first one's led nowhere.
-            self.findings = self.examine(frame, known, self._view, T_cam_world)
+            self.findings = self.examine(frame, known, self._view, question.T_cam_world)
         self._asked = frame
-        motion = self._verdict(frame, known)
-        if stage is Stage.LOCAL_MAP:
-            self._remember(frame, T_cam_world)
-        return or_less(motion, frame, known, matches, self.config.min_matches)
+        return self._verdict(frame, known)
+
+    def remember(self, frame: Frame, T_cam_world: F64, keyframe: int) -> None:
+        """Take an image as the past of the next one; the ants remember it once."""
+        if self._asked is None or self._asked.image is not frame.image:
+            return
+        self._past.remember(frame, self._view, T_cam_world)
+        if self.findings is not None and self._remembered is not frame.image:
+            self._ants.remember(self.findings.test.raw_px, self.findings.found)
+            self._remembered = frame.image
+
+    def corrected(self, T_new_old: F64) -> None:
+        """Move the past along."""
+        self._past.follow(T_new_old)
 
     def examine(self, frame: Frame, known: Semantics, view: View, T_cam_world: F64) -> Findings | None:
         """Return what the geometry says; None where there is nothing to compare with, or it cannot be compared."""
@@ -168,13 +164,6 @@ class CompensatedHomographySieve:
         else:
             found = self._ants.search(test.raw_px, is_dynamic, known.movable if known.has_any else None)
         return Findings(frame.image.index, candidates, found, verdicts, camera_motion, test)
-
-    def _remember(self, frame: Frame, T_cam_world: F64) -> None:
-        """Take an image as the past of the next one, once."""
-        self._past.remember(frame, self._view, T_cam_world)
-        if self.findings is not None and self._remembered is not frame.image:
-            self._ants.remember(self.findings.test.raw_px, self.findings.found)
-            self._remembered = frame.image
 
     def _verdict(self, frame: Frame, known: Semantics) -> Motion:
         """Put together what the masks and the geometry say."""

@@ -26,7 +26,7 @@ from stillroom.geometry import se3
 from stillroom.geometry.arrays import F32, F64, I32, I64, U8, Bool
 from stillroom.geometry.camera import Camera
 
-__all__ = ["BORDER", "DYNAMIC", "UNSEEN", "Geometry", "GeometryConfig", "Question"]
+__all__ = ["BORDER", "DYNAMIC", "UNSEEN", "Geometry", "GeometryConfig", "PointsInView"]
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ class GeometryConfig:
 
 
 @dataclass(frozen=True)
-class Question:
+class PointsInView:
     """Everything about a frame that its points are tested with.
 
     Attributes:
@@ -144,13 +144,13 @@ class Geometry:
 
     def mask(self, frame: Frame, T_cam_world: F64, world: Map) -> Bool | None:
         """Return what moves in a frame (H, W) taken at a pose (4, 4); None where there are too few keyframes."""
-        question = self.question(frame, T_cam_world, world)
-        if question is None:
+        seen = self.points_in_view(frame, T_cam_world, world)
+        if seen is None:
             return None
-        self.test(question, question.in_view)
-        return self.grow(question, question.dynamic_px)
+        self.test(seen, seen.in_view)
+        return self.grow(seen, seen.dynamic_px)
 
-    def question(self, frame: Frame, T_cam_world: F64, world: Map) -> Question | None:
+    def points_in_view(self, frame: Frame, T_cam_world: F64, world: Map) -> PointsInView | None:
         """Bring the keyframes' points into a frame; None where there are too few keyframes."""
         T_world_cam = se3.inverse(T_cam_world)
         views = self.views.ask(T_world_cam, world)
@@ -165,32 +165,32 @@ class Geometry:
         project(points, there, here.lens, frame.image.height, frame.image.width)
         verdict, before_px = np.full(n, UNSEEN, dtype=np.uint8), np.full((n, 2), -1, dtype=np.int32)
         displaced_px = self.views.displaced_px(frame, T_cam_world)
-        return Question(frame, points, here, there, verdict, before_px, displaced_px)
+        return PointsInView(frame, points, here, there, verdict, before_px, displaced_px)
 
-    def test(self, question: Question, chosen: I64) -> U8:
-        """Test chosen points (M,); return their verdicts (M,) and note them in the question."""
-        q = question
+    def test(self, seen: PointsInView, chosen: I64) -> U8:
+        """Test chosen points (M,); return their verdicts (M,) and note them in it."""
+        q = seen
         limits = self._limits._replace(patch_px=self.config.patch_px + round(q.displaced_px))
         judge_points(chosen, q.points, q.here, q.there, self._window, limits, q.verdict, q.before_px)
         verdicts: U8 = q.verdict[chosen]
         return verdicts
 
-    def grow(self, question: Question, seeds_px: I32) -> Bool:
+    def grow(self, seen: PointsInView, seeds_px: I32) -> Bool:
         """Return the mask (H, W) of what reaches from pixels (M, 2) as far as the depth goes on."""
-        stride, whole = self.config.growing_stride, question.here
+        stride, whole = self.config.growing_stride, seen.here
         height, width = whole.depth_m.shape
         if not self.config.growing:
             return _patches(seeds_px, height, width, max(1, self.config.patch_px))
         here = Here(
             np.ascontiguousarray(whole.depth_m[::stride, ::stride]),
-            rays_of(question.frame.camera, stride),
+            rays_of(seen.frame.camera, stride),
             whole.T_world_cam,
             whole.lens,
         )
         there = (
-            question.there
+            seen.there
             if self.config.seen_through
-            else question.there._replace(depth_m=question.there.depth_m[:0], T_cam_world=question.there.T_cam_world[:0])
+            else seen.there._replace(depth_m=seen.there.depth_m[:0], T_cam_world=seen.there.T_cam_world[:0])
         )
         region = np.zeros(here.depth_m.shape, dtype=np.uint8)
         queue = np.empty((region.size, 2), dtype=np.int32)

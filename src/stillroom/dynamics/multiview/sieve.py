@@ -7,19 +7,14 @@ import cv2
 import numpy as np
 
 from stillroom.data.frame import Frame
-from stillroom.data.image import RgbdImage
-from stillroom.data.map import Map
-from stillroom.data.map.jumps import JumpFollower
-from stillroom.data.matches import Matches
 from stillroom.data.motion import Motion, Stage
-from stillroom.data.semantics import Instance, Semantics, nothing, union_of
-from stillroom.dynamics.enough import or_less
+from stillroom.data.question import Question
+from stillroom.data.semantics import Instance, Semantics, union_of
+from stillroom.dynamics.asking import Enough, ImageMemory
 from stillroom.dynamics.multiview.geometry import GeometryConfig
 from stillroom.dynamics.multiview.views import CHOICES
 from stillroom.errors import ConfigError
-from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64, U8, Bool
-from stillroom.protocols import Pending
 
 UNION, GEOMETRY_FIRST = "union", "geometry-first"
 COMBINATIONS = (UNION, GEOMETRY_FIRST)
@@ -71,15 +66,6 @@ class MultiViewConfig:
         return MultiViewSieve(self)
 
 
-@dataclass(frozen=True)
-class _Found:
-    """What geometry found in low-cost tracking: the image, its pose there (4, 4), and the mask (H, W)."""
-
-    image: RgbdImage
-    T_cam_world: F64
-    mask: Bool | None
-
-
 class MultiViewSieve:
     """Sieve 2 of `dynaslam`."""
 
@@ -87,47 +73,45 @@ class MultiViewSieve:
         """Start without a past."""
         self.config = config
         self.geometry = config.test.build()
-        self._quick: _Found | None = None
-        self._jumps = JumpFollower()
+        self._quick: ImageMemory[tuple[Bool | None]] = ImageMemory(*NEAR)
+        self._judged: ImageMemory[Bool] = ImageMemory()
+        self.enough = Enough(config.min_matches, or_masks=True)
 
-    def judge(
-        self,
-        stage: Stage,
-        frame: Frame,
-        matches: Matches,
-        semantics: Pending[Semantics],
-        T_cam_world: F64,
-        world: Map,
-    ) -> Motion:
+    def judge(self, question: Question) -> Motion:
         """Judge every keypoint by the mask that it lies in.
 
         Geometry is asked once an image, under the pose of low-cost tracking (DynaSLAM III.B); where there is none, at
         the local-map stage, and the stages before are judged by the network alone: their matches are of points that
         were found to be static in the last frame. Under a mere guess of the pose everything would seem to move.
         """
-        if stage is Stage.RELOCALIZATION:
-            return Motion.none(len(frame), frame.image.height, frame.image.width)
-        if self._jumps.follow(world, (self.geometry.views,)):
-            self._quick = None
-        self.geometry.views.settle(world)
-        found = self._mask(stage, frame, T_cam_world, world) if self.config.geometry else None
-        known = semantics.result()
-        moving = self._moving(found, known)
-        column, row = np.rint(frame.keypoints.raw_px).astype(np.int64).T
-        motion = Motion(~moving[row, column], moving)
-        if stage is Stage.LOCAL_MAP and self.config.geometry:
-            self.geometry.views.note(frame, T_cam_world, moving)
-        at_least = known if self.config.network else nothing(known.height, known.width)
-        return or_less(motion, frame, at_least, matches, self.config.min_matches)
+        self.geometry.views.settle(question.world)
+        found = self._mask(question) if self.config.geometry else None
+        moving = self._moving(found, question.known)
+        self._judged.keep(question.frame.image, question.T_cam_world, moving)
+        column, row = np.rint(question.frame.keypoints.raw_px).astype(np.int64).T
+        return Motion(~moving[row, column], moving)
 
-    def _mask(self, stage: Stage, frame: Frame, T_cam_world: F64, world: Map) -> Bool | None:
+    def remember(self, frame: Frame, T_cam_world: F64, keyframe: int) -> None:
+        """Note what moves in the frame, which may become a keyframe."""
+        moving = self._judged.of(frame.image)
+        if moving is not None and self.config.geometry:
+            self.geometry.views.note(frame, T_cam_world, moving)
+
+    def corrected(self, T_new_old: F64) -> None:
+        """Move the memory along."""
+        self.geometry.views.follow(T_new_old)
+        self._quick.forget()
+
+    def _mask(self, question: Question) -> Bool | None:
         """Return geometry's mask (H, W): what low-cost tracking found, or this stage, where it may ask; else None."""
-        quick = self._quick
-        if stage is Stage.LOW_COST:
-            quick = self._quick = _Found(frame.image, T_cam_world.copy(), self.geometry.mask(frame, T_cam_world, world))
-        if quick is not None and quick.image is frame.image and se3.are_near(quick.T_cam_world, T_cam_world, *NEAR):
-            return quick.mask
-        return self.geometry.mask(frame, T_cam_world, world) if stage is Stage.LOCAL_MAP else None
+        frame, T_cam_world = question.frame, question.T_cam_world
+        if question.stage is Stage.LOW_COST:
+            found = self.geometry.mask(frame, T_cam_world, question.world)
+            return self._quick.keep(frame.image, T_cam_world, (found,))[0]
+        quick = self._quick.near(frame.image, T_cam_world)
+        if quick is not None:
+            return quick[0]
+        return self.geometry.mask(frame, T_cam_world, question.world) if question.stage is Stage.LOCAL_MAP else None
 
     def _moving(self, found: Bool | None, known: Semantics) -> Bool:
         """Return what moves (H, W) by both accounts; an array of its own."""

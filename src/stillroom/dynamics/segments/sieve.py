@@ -7,23 +7,18 @@ import numpy as np
 
 from stillroom.data.cloud.clusters import Clusters
 from stillroom.data.frame import Frame
-from stillroom.data.image import RgbdImage
-from stillroom.data.map import Map
-from stillroom.data.map.jumps import JumpFollower
-from stillroom.data.matches import Matches
 from stillroom.data.motion import Motion, Stage
-from stillroom.data.semantics import Semantics
+from stillroom.data.question import Question
+from stillroom.dynamics.asking import Enough, ImageMemory
 from stillroom.dynamics.clusters.belief import Belief
 from stillroom.dynamics.clusters.pixels import MOVES, STAYS, MovingPixels
 from stillroom.dynamics.clusters.samples import Sampler
 from stillroom.dynamics.depth_history import STRIDE, ask
-from stillroom.dynamics.enough import or_less
 from stillroom.dynamics.homography.past import EarlierImage, Past, view_of
 from stillroom.dynamics.homography.point_motion import DYNAMIC, STATIC, UNKNOWN, PointTest, PointTestConfig, View
 from stillroom.errors import ConfigError
 from stillroom.geometry import homography, se3
 from stillroom.geometry.arrays import F64, I64, Bool
-from stillroom.protocols import Pending
 
 NEAR = 0.02, 0.01
 """Metres and radians that a pose may move after low-cost tracking before segments are tested again."""
@@ -94,11 +89,10 @@ class MovedSegmentsConfig:
 
 @dataclass(frozen=True)
 class _Finding:
-    """What was found of an image from a pose (4, 4): the log-odds of each segment (K,)."""
+    """What was found of an image from a pose: its segments, what is read of it, and the segments' log-odds (K,)."""
 
-    image: RgbdImage
+    clusters: Clusters
     view: View = field(repr=False)
-    T_cam_world: F64
     belief: F64
 
 
@@ -112,48 +106,42 @@ class MovedSegments:
         self._sampler = Sampler()
         self._belief = Belief(config.fades_in_s, config.reach_m)
         self._pixels = MovingPixels(config.margin_px)
-        self._finding: _Finding | None = None
-        self._jumps = JumpFollower()
+        self._finding: ImageMemory[_Finding] = ImageMemory(*NEAR)
+        self.enough = Enough(config.min_matches, or_masks=True)
 
-    def judge(
-        self,
-        stage: Stage,
-        frame: Frame,
-        matches: Matches,
-        semantics: Pending[Semantics],
-        T_cam_world: F64,
-        world: Map,
-    ) -> Motion:
+    def judge(self, question: Question) -> Motion:
         """Judge that what may move does, and every segment that is found to."""
-        if stage is Stage.RELOCALIZATION:
-            return Motion.none(len(frame), frame.image.height, frame.image.width)
-        if self._jumps.follow(world, (self._past, self._belief)):
-            self._finding = None
-        known = semantics.result()
-        moving, clusters = known.movable, known.clusters
-        if clusters is not None:
-            finding = self._find(stage, frame, clusters, T_cam_world)
-            if finding is not None:
-                said = np.where(finding.belief > 0, MOVES, STAYS).astype(np.uint8)
-                moving = moving | self._pixels.marked(clusters, said, moving)
-                if stage is Stage.LOCAL_MAP:
-                    self._belief.remember(frame, clusters, finding.belief, T_cam_world)
-                    self._past.remember(frame, finding.view, T_cam_world)
-        column, row = np.rint(frame.keypoints.raw_px).astype(np.int64).T
-        motion = Motion(~moving[row, column], moving)
-        return or_less(motion, frame, known, matches, self.config.min_matches)
+        moving, clusters = question.known.movable, question.known.clusters
+        finding = None if clusters is None else self._find(question, clusters)
+        if finding is not None:
+            said = np.where(finding.belief > 0, MOVES, STAYS).astype(np.uint8)
+            moving = moving | self._pixels.marked(finding.clusters, said, moving)
+        column, row = np.rint(question.frame.keypoints.raw_px).astype(np.int64).T
+        return Motion(~moving[row, column], moving)
 
-    def _find(self, stage: Stage, frame: Frame, clusters: Clusters, T_cam_world: F64) -> _Finding | None:
+    def remember(self, frame: Frame, T_cam_world: F64, keyframe: int) -> None:
+        """Take the image and what is believed of its segments into the memories."""
+        finding = self._finding.of(frame.image)
+        if finding is not None:
+            self._belief.remember(frame, finding.clusters, finding.belief, T_cam_world)
+            self._past.remember(frame, finding.view, T_cam_world)
+
+    def corrected(self, T_new_old: F64) -> None:
+        """Move the memories along."""
+        self._past.follow(T_new_old)
+        self._belief.follow(T_new_old)
+        self._finding.forget()
+
+    def _find(self, question: Question, clusters: Clusters) -> _Finding | None:
         """Return what is found of a frame: what was found before, from nearly here; None under a guess of the pose."""
-        known = self._finding if self._finding is not None and self._finding.image is frame.image else None
-        if known is not None and se3.are_near(known.T_cam_world, T_cam_world, *NEAR):
+        frame, T_cam_world = question.frame, question.T_cam_world
+        known = self._finding.near(frame.image, T_cam_world)
+        if known is not None or question.stage not in (Stage.LOW_COST, Stage.LOCAL_MAP):
             return known
-        if stage not in (Stage.LOW_COST, Stage.LOCAL_MAP):
-            return None
-        view = view_of(frame.image) if known is None else known.view
-        belief = self._log_odds(frame, clusters, view, T_cam_world)
-        self._finding = _Finding(frame.image, view, T_cam_world.copy(), belief)
-        return self._finding
+        before = self._finding.of(frame.image)
+        view = view_of(frame.image) if before is None else before.view
+        found = _Finding(clusters, view, self._log_odds(frame, clusters, view, T_cam_world))
+        return self._finding.keep(frame.image, T_cam_world, found)
 
     def _log_odds(self, frame: Frame, clusters: Clusters, view: View, T_cam_world: F64) -> F64:
         """Return the log-odds (K,) that each segment moves."""

@@ -1,0 +1,73 @@
+"""What a match sieve is asked."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol, TypeVar
+
+import numpy as np
+
+from stillroom.data.frame import Frame
+from stillroom.data.map import Map
+from stillroom.data.matches import Matches
+from stillroom.data.motion import Motion, Stage
+from stillroom.data.semantics import Semantics
+from stillroom.geometry.arrays import F64, Bool
+
+TRACKABLE = 20
+"""With fewer matches than this tracking does not go on, whatever a sieve says of them."""
+
+T_co = TypeVar("T_co", covariant=True)
+
+
+class Pending(Protocol[T_co]):
+    """An answer that may still be in the making."""
+
+    def result(self) -> T_co:
+        """Wait for the answer and return it; raise what the work raised."""
+
+
+@dataclass(frozen=True)
+class Question:
+    """What moves in this image?
+
+    Attributes:
+        stage: When in tracking the question is put; thresholds may differ.
+        frame: The present frame, after sieve 1.
+        matches: Its pairs with map points at this stage.
+        semantics: What may move; `known` waits for it.
+        T_cam_world: The best guess of the present pose (4, 4) at this stage.
+        world: The map.
+    """
+
+    stage: Stage
+    frame: Frame
+    matches: Matches
+    semantics: Pending[Semantics]
+    T_cam_world: F64
+    world: Map
+
+    @property
+    def known(self) -> Semantics:
+        """What may move; waits until the segmenter has answered."""
+        return self.semantics.result()
+
+    @cached_property
+    def may_move(self) -> Bool:
+        """Whether each keypoint (N,) lies on something that may move."""
+        return self.known.movable_at(self.frame.keypoints.raw_px)
+
+    def nothing_moves(self) -> Motion:
+        """Return the verdict that nothing moves."""
+        return Motion.none(len(self.frame), self.frame.image.height, self.frame.image.width)
+
+    def all_that_may_moves(self) -> Motion:
+        """Return the verdict that everything moves that may."""
+        return Motion(~self.may_move, self.known.movable)
+
+    def leaves_enough(self, motion: Motion, min_matches: int) -> bool:
+        """Return whether so many matches stay under a verdict, or all of them where there were fewer before.
+
+        With fewer than `TRACKABLE` matches any verdict leaves enough: tracking does not go on either way.
+        """
+        stay = int(np.count_nonzero(motion.is_static[self.matches.keypoint]))
+        return stay >= min(min_matches, len(self.matches)) or len(self.matches) < TRACKABLE

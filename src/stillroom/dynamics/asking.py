@@ -1,0 +1,107 @@
+"""The life that every match sieve leads, in one place. A sieve itself is its idea.
+
+Around `judge` this page does what all have in common: no question is put while relocalizing, where both papers switch
+rejection off; memories follow the corrections of the map; a verdict that leaves too few matches is not heard; and a
+frame that is done is handed to those who remember. `ImageMemory` keeps what was worked out about the present image.
+"""
+
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+from stillroom.data.frame import Frame
+from stillroom.data.image import RgbdImage
+from stillroom.data.map.jumps import JumpFollower
+from stillroom.data.motion import Motion, Stage
+from stillroom.data.question import Question
+from stillroom.geometry import se3
+from stillroom.geometry.arrays import F64
+from stillroom.protocols import MatchSieve, RememberingSieve
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Enough:
+    """How many matches must stay.
+
+    Attributes:
+        min_matches: So many, or all where there were fewer before.
+        or_masks: Whether, where a verdict leaves too few, that of the semantics alone is taken before none is.
+    """
+
+    min_matches: int = 20
+    or_masks: bool = False
+
+    def of(self, motion: Motion, question: Question) -> Motion:
+        """Return a verdict; where it leaves too little, what is left of it that does not."""
+        if question.leaves_enough(motion, self.min_matches):
+            return motion
+        if self.or_masks:
+            masked = question.all_that_may_moves()
+            if question.leaves_enough(masked, self.min_matches):
+                return masked
+        return question.nothing_moves()
+
+
+class Asking:
+    """Puts the questions of tracking to a sieve, and leads it through its life."""
+
+    def __init__(self, sieve: MatchSieve) -> None:
+        """Take a fresh sieve."""
+        self.sieve = sieve
+        self._memory = sieve if isinstance(sieve, RememberingSieve) else None
+        self._enough: Enough = getattr(sieve, "enough", Enough())
+        self._jumps = JumpFollower()
+
+    def judge(self, question: Question) -> Motion:
+        """Return the sieve's verdict, or as much of it as leaves enough matches to track with."""
+        if question.stage is Stage.RELOCALIZATION:
+            return question.nothing_moves()
+        T_new_old = self._jumps.missed(question.world)
+        if T_new_old is not None and self._memory is not None:
+            self._memory.corrected(T_new_old)
+        motion = self.sieve.judge(question)
+        if question.stage is Stage.LOCAL_MAP:
+            self.remember(question.frame, question.T_cam_world, -1)
+        return self._enough.of(motion, question)
+
+    def remember(self, frame: Frame, T_cam_world: F64, keyframe: int) -> None:
+        """Hand a frame that is done, at its pose (4, 4), to a sieve with a memory; keyframe is −1 where it is none."""
+        if self._memory is not None:
+            self._memory.remember(frame, T_cam_world, keyframe)
+
+
+class ImageMemory(Generic[T]):
+    """What was worked out about the present image, and under which pose.
+
+    Tracking asks about an image at several stages. What depends on the image alone is worked out once; what depends
+    on the pose too is worked out again where the pose has changed by more than it could tell.
+    """
+
+    def __init__(self, reach_m: float = 0.0, reach_rad: float = 0.0) -> None:
+        """Start empty.
+
+        Args:
+            reach_m, reach_rad: Poses so close to each other count as the same.
+        """
+        self._reach = reach_m, reach_rad
+        self._kept: tuple[RgbdImage, F64, T] | None = None
+
+    def of(self, image: RgbdImage) -> T | None:
+        """Return what was worked out about an image, under whatever pose; None where nothing was."""
+        return self._kept[2] if self._kept is not None and self._kept[0] is image else None
+
+    def near(self, image: RgbdImage, T_cam_world: F64) -> T | None:
+        """Return what was worked out about an image under nearly this pose (4, 4); None where nothing was."""
+        if self._kept is None or self._kept[0] is not image:
+            return None
+        return self._kept[2] if se3.are_near(self._kept[1], T_cam_world, *self._reach) else None
+
+    def keep(self, image: RgbdImage, T_cam_world: F64, worked_out: T) -> T:
+        """Keep what was worked out about an image under a pose (4, 4), in place of all before; return it."""
+        self._kept = image, T_cam_world.copy(), worked_out
+        return worked_out
+
+    def forget(self) -> None:
+        """Forget what depends on a pose of the map as it was."""
+        self._kept = None

@@ -1,0 +1,31 @@
+"""A sieve as tracking asks it: led through its life, with the frame remembered once the local map was asked."""
+
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from stillroom.data.frame import Frame
+from stillroom.data.map import Map
+from stillroom.data.matches import Matches
+from stillroom.data.motion import Motion, Stage
+from stillroom.data.question import Pending, Question
+from stillroom.data.semantics import Semantics
+from stillroom.dynamics.asking import Asking
+from stillroom.protocols import MatchSieve
+
+_LED: WeakKeyDictionary[MatchSieve, Asking] = WeakKeyDictionary()
+
+
+def ask(
+    sieve: MatchSieve,
+    stage: Stage,
+    frame: Frame,
+    matches: Matches,
+    semantics: Pending[Semantics],
+    T_cam_world: np.ndarray,
+    world: Map,
+) -> Motion:
+    """Put a question to a sieve, which is led by the same `Asking` every time."""
+    if sieve not in _LED:
+        _LED[sieve] = Asking(sieve)
+    return _LED[sieve].judge(Question(stage, frame, matches, semantics, T_cam_world, world))

@@ -62,7 +62,7 @@ def test_each_row_is_told_of_what_it_should_be(figures: tuple[Result, Any]) -> N
 
 
 def test_the_rows_differ_in_what_they_say() -> None:
-    preset = configure("oc-slam", None, ["dynamics.boxes.min_matches=17", "dynamics.gain=1.25"])
+    preset = configure("oc-slam", None, ["dynamics.boxes.min_agreeing=3", "dynamics.gain=1.25"])
     four = parts(preset)
     assert four[BOTH] == preset
     for config in four.values():
@@ -76,7 +76,7 @@ def test_the_rows_differ_in_what_they_say() -> None:
         (NothingConfig, DepthClustersConfig, sieve),
         (yolo, DepthClustersConfig, sieve),
     ]
-    assert four["boxes only"].dynamics.min_matches == 17
+    assert four["boxes only"].dynamics.min_agreeing == 3
     assert four["clusters only"].dynamics.gain == 1.25
 
 

@@ -212,10 +212,10 @@ class OwnSieveConfig(KeepAllConfig):
 
 
 def test_replacing_values_leaves_the_others_alone() -> None:
-    config = SlamConfig(method="x", dynamics=EpipolarConfig(min_matches=11), tracking=TrackerConfig(min_matches=22))
+    config = SlamConfig(method="x", dynamics=EpipolarConfig(min_agreeing=11), tracking=TrackerConfig(min_matches=22))
     changed = updated(config, {"tracking": {"min_inliers": 33}, "dynamics": {"keyframe_px": 1.5}})
     assert changed.tracking == TrackerConfig(min_matches=22, min_inliers=33)
-    assert changed.dynamics == EpipolarConfig(min_matches=11, keyframe_px=1.5)
+    assert changed.dynamics == EpipolarConfig(min_agreeing=11, keyframe_px=1.5)
     assert changed.method == "x"
 
 
@@ -242,3 +242,11 @@ def test_toml_text_is_toml() -> None:
     assert tomllib.loads(as_toml(values)) == values
     with pytest.raises(TypeError, match="dict"):
         as_toml({"a": [{}]})
+
+
+def test_a_key_that_sets_nothing_any_more_is_ignored_and_said_so(caplog: pytest.LogCaptureFixture) -> None:
+    config = SlamConfig(dynamics=EpipolarConfig())
+    assert with_overrides(config, ["dynamics.min_matches=20"]) == config
+    assert "'dynamics.min_matches' is ignored" in caplog.text
+    with pytest.raises(ConfigError, match=r"unknown key 'mapping\.min_matches'"):
+        with_overrides(config, ["mapping.min_matches=20"])

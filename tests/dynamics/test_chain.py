@@ -8,14 +8,12 @@ from stillroom.data.matches import Matches
 from stillroom.data.motion import Motion, Stage
 from stillroom.data.question import Question
 from stillroom.data.semantics import Box, Semantics
-from stillroom.dynamics.asking import Enough
 from stillroom.dynamics.chain import Chain
 from stillroom.schedule import Done
 
 SMALL = SmallMap.of(SmallWorld.of(0), [pose()])
 FRAME = SMALL.frames[0]
 MATCHES = Matches.of(SMALL.id_of[SMALL.seen[0]])
-ENOUGH = Enough(40, or_masks=True)
 
 
 class Fixed:
@@ -37,8 +35,8 @@ def asked_of(matches: Matches, known: Semantics | None = None) -> Question:
     return Question(Stage.LOCAL_MAP, FRAME, matches, semantics, np.eye(4), SMALL.map)
 
 
-def judged(*sieves: Fixed, matches: Matches = MATCHES, min_matches: int = 40) -> Motion:
-    chain = Chain(sieves, min_matches)
+def judged(*sieves: Fixed, matches: Matches = MATCHES) -> Motion:
+    chain = Chain(sieves)
     return chain.judge(asked_of(matches))
 
 
@@ -84,19 +82,19 @@ def test_enough_is_enough(n: int, left: int, enough: bool) -> None:
     motion = Motion.none(len(FRAME), 480, 640)
     motion.is_static[left:] = False
     question = asked_of(MATCHES.keep(np.arange(len(MATCHES)) < n))
-    assert question.leaves_enough(motion, 40) == enough
+    assert question.leaves_enough(motion) == enough
 
 
 def test_a_verdict_falls_back_to_the_masks_and_then_to_nothing() -> None:
     everything = Motion(np.zeros(len(FRAME), dtype=np.bool_), np.ones((480, 640), dtype=np.bool_))
     some = Semantics(480, 640, (Box(0.0, 0.0, 100.0, 479.0, "person", 1.0),))
-    masked = ENOUGH.of(everything, asked_of(MATCHES, some))
+    masked = asked_of(MATCHES, some).enough_of(everything)
     np.testing.assert_array_equal(masked.moving, some.movable)
     np.testing.assert_array_equal(masked.is_static, ~some.movable_at(FRAME.keypoints.raw_px))
     assert not masked.is_static.all()
     all_over = Semantics(480, 640, (Box(0.0, 0.0, 639.0, 479.0, "person", 1.0),))
-    nothing = ENOUGH.of(everything, asked_of(MATCHES, all_over))
+    nothing = asked_of(MATCHES, all_over).enough_of(everything)
     assert nothing.is_static.all()
     assert not nothing.moving.any()
     one = Motion.none(len(FRAME), 480, 640)
-    assert ENOUGH.of(one, asked_of(MATCHES, some)) is one
+    assert asked_of(MATCHES, some).enough_of(one) is one

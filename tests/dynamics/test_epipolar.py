@@ -219,7 +219,7 @@ def test_the_pose_that_is_given_draws_the_lines(scene: Scene) -> None:
 
 
 @pytest.mark.parametrize("stage", STAGES)
-@pytest.mark.parametrize(("outside", "inside", "off"), [(20, 30, False), (19, 30, True), (0, 20, True), (0, 19, False)])
+@pytest.mark.parametrize(("outside", "inside", "off"), [(40, 30, False), (39, 30, True), (0, 20, True), (0, 19, False)])
 def test_it_is_off_where_too_few_matches_would_stay(
     scene: Scene, stage: Stage, outside: int, inside: int, off: bool
 ) -> None:

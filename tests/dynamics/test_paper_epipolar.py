@@ -161,7 +161,7 @@ def test_a_verdict_given_is_not_changed_by_the_next_stage() -> None:
     assert first.is_static.all()
 
 
-@pytest.mark.parametrize(("outside", "still_inside", "off"), [(15, 5, False), (15, 4, True), (60, 0, False)])
+@pytest.mark.parametrize(("outside", "still_inside", "off"), [(35, 5, False), (35, 4, True), (60, 0, False)])
 def test_it_is_off_where_too_few_matches_would_stay(outside: int, still_inside: int, off: bool) -> None:
     still = np.setdiff1d(INSIDE, MOVED)[:still_inside]
     chosen = np.concatenate((np.flatnonzero(~PAIR.inside)[:outside], still, MOVED))

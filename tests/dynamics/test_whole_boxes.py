@@ -70,7 +70,7 @@ def test_where_nothing_may_move_nothing_does() -> None:
 
 
 @pytest.mark.parametrize("stage", STAGES)
-@pytest.mark.parametrize(("outside", "inside", "off"), [(20, 30, False), (19, 30, True), (0, 20, True), (0, 19, False)])
+@pytest.mark.parametrize(("outside", "inside", "off"), [(40, 30, False), (39, 30, True), (0, 20, True), (0, 19, False)])
 def test_it_is_off_where_too_few_matches_would_stay(stage: Stage, outside: int, inside: int, off: bool) -> None:
     """With fewer matches than that to begin with, tracking fails either way, and the people are not to be mapped."""
     is_inside = in_box(FRAME, LEFT)

@@ -171,8 +171,6 @@ class ChainConfig:
     Attributes:
         first: The one that is trusted more; `kind` chooses the part.
         second: The other one; with `kind = "keep-all"` it adds nothing.
-        min_matches: The second goes unheard where with it fewer matches than this would stay; tracking needs 30 that
-            agree.
     """
 
     first: MatchSieveConfig = field(
@@ -181,11 +179,10 @@ class ChainConfig:
     second: MatchSieveConfig = field(
         default_factory=MovedSegmentsConfig, metadata={"kinds": Kinds("dynamics.second", SINGLE_SIEVES)}
     )
-    min_matches: int = 40
 
     def build(self, seed: int = 0) -> MatchSieve:
         """Return the chain."""
-        return Chain([self.first.build(seed), self.second.build(seed)], self.min_matches)
+        return Chain([self.first.build(seed), self.second.build(seed)])
 
 
 DYNAMICS = Kinds("dynamics", {**SINGLE_SIEVES, "chain": ChainConfig})

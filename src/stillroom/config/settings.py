@@ -5,6 +5,8 @@ chooses the class, and with it the other keys. Values are bool, int, float, str,
 """
 
 import dataclasses
+import logging
+import re
 import tomllib
 import typing
 from collections.abc import Iterable, Mapping
@@ -18,6 +20,13 @@ from stillroom.config.values import Written, convert
 from stillroom.errors import ConfigError
 
 C = TypeVar("C")
+
+log = logging.getLogger(__name__)
+
+RETIRED: Mapping[str, str] = {
+    r"dynamics(\.\w+)?\.min_matches": "how many matches a verdict must leave is the same for all sieves now",
+}
+"""Keys of earlier versions that set nothing any more, as patterns of their dotted names, and why."""
 
 PROVENANCE = "run"
 """The table of a results folder's config.toml that says how it came about; it configures nothing."""
@@ -124,6 +133,8 @@ def _updated(config: Any, values: Mapping[str, Any], path: tuple[str, ...]) -> A
     for key, value in values.items():
         name = ".".join((*path, key))
         if key not in fields:
+            if _is_retired(name):
+                continue
             raise ConfigError(f"unknown key '{name}'; did you mean '{_nearest(config, name, path)}'?")
         present, kinds = getattr(config, key), _kinds(fields[key])
         if not dataclasses.is_dataclass(present):
@@ -141,6 +152,14 @@ def _updated(config: Any, values: Mapping[str, Any], path: tuple[str, ...]) -> A
         else:
             changes[key] = _plugged(kinds, present, section, (*path, key))
     return dataclasses.replace(config, **changes)
+
+
+def _is_retired(name: str) -> bool:
+    """Return whether a key was a setting once; that it is ignored is said in the log."""
+    reason = next((why for pattern, why in RETIRED.items() if re.fullmatch(pattern, name)), None)
+    if reason is not None:
+        log.warning("'%s' is ignored: %s", name, reason)
+    return reason is not None
 
 
 def _plugged(kinds: Kinds, present: Any, values: Mapping[str, Any], path: tuple[str, ...]) -> Any:

@@ -13,6 +13,9 @@ from stillroom.data.motion import Motion, Stage
 from stillroom.data.semantics import Semantics
 from stillroom.geometry.arrays import F64, Bool
 
+MIN_MATCHES = 40
+"""So many matches must stay under a verdict: tracking needs 30 that agree with the pose."""
+
 TRACKABLE = 20
 """With fewer matches than this tracking does not go on, whatever a sieve says of them."""
 
@@ -64,10 +67,17 @@ class Question:
         """Return the verdict that everything moves that may."""
         return Motion(~self.may_move, self.known.movable)
 
-    def leaves_enough(self, motion: Motion, min_matches: int) -> bool:
-        """Return whether so many matches stay under a verdict, or all of them where there were fewer before.
+    def leaves_enough(self, motion: Motion) -> bool:
+        """Return whether `MIN_MATCHES` stay under a verdict, or all matches where there were fewer before.
 
         With fewer than `TRACKABLE` matches any verdict leaves enough: tracking does not go on either way.
         """
         stay = int(np.count_nonzero(motion.is_static[self.matches.keypoint]))
-        return stay >= min(min_matches, len(self.matches)) or len(self.matches) < TRACKABLE
+        return stay >= min(MIN_MATCHES, len(self.matches)) or len(self.matches) < TRACKABLE
+
+    def enough_of(self, motion: Motion) -> Motion:
+        """Return a verdict; where it leaves too little, that of the semantics alone; where that does, none moves."""
+        if self.leaves_enough(motion):
+            return motion
+        masked = self.all_that_may_moves()
+        return masked if self.leaves_enough(masked) else self.nothing_moves()

@@ -5,7 +5,6 @@ rejection off; memories follow the corrections of the map; a verdict that leaves
 frame that is done is handed to those who remember. `ImageMemory` keeps what was worked out about the present image.
 """
 
-from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 from stillroom.data.frame import Frame
@@ -20,29 +19,6 @@ from stillroom.protocols import MatchSieve, RememberingSieve
 T = TypeVar("T")
 
 
-@dataclass(frozen=True)
-class Enough:
-    """How many matches must stay.
-
-    Attributes:
-        min_matches: So many, or all where there were fewer before.
-        or_masks: Whether, where a verdict leaves too few, that of the semantics alone is taken before none is.
-    """
-
-    min_matches: int = 20
-    or_masks: bool = False
-
-    def of(self, motion: Motion, question: Question) -> Motion:
-        """Return a verdict; where it leaves too little, what is left of it that does not."""
-        if question.leaves_enough(motion, self.min_matches):
-            return motion
-        if self.or_masks:
-            masked = question.all_that_may_moves()
-            if question.leaves_enough(masked, self.min_matches):
-                return masked
-        return question.nothing_moves()
-
-
 class Asking:
     """Puts the questions of tracking to a sieve, and leads it through its life."""
 
@@ -50,7 +26,6 @@ class Asking:
         """Take a fresh sieve."""
         self.sieve = sieve
         self._memory = sieve if isinstance(sieve, RememberingSieve) else None
-        self._enough: Enough = getattr(sieve, "enough", Enough())
         self._jumps = JumpFollower()
 
     def judge(self, question: Question) -> Motion:
@@ -63,7 +38,7 @@ class Asking:
         motion = self.sieve.judge(question)
         if question.stage is Stage.LOCAL_MAP:
             self.remember(question.frame, question.T_cam_world, -1)
-        return self._enough.of(motion, question)
+        return question.enough_of(motion)
 
     def remember(self, frame: Frame, T_cam_world: F64, keyframe: int) -> None:
         """Hand a frame that is done, at its pose (4, 4), to a sieve with a memory; keyframe is −1 where it is none."""

@@ -11,20 +11,15 @@ from stillroom.protocols import MatchSieve
 class Chain:
     """Puts each question to all its sieves; those with which too little would be left go unheard."""
 
-    def __init__(self, sieves: Sequence[MatchSieve], min_matches: int) -> None:
-        """Take the sieves, the most trusted first.
-
-        Args:
-            sieves: At least one; each is off by itself where it alone would leave too little.
-            min_matches: How many matches must stay, where there are as many.
-        """
-        self._asked, self._min_matches = tuple(Asking(sieve) for sieve in sieves), min_matches
+    def __init__(self, sieves: Sequence[MatchSieve]) -> None:
+        """Take the sieves, at least one, the most trusted first; each is led through a life of its own."""
+        self._asked = tuple(Asking(sieve) for sieve in sieves)
 
     def judge(self, question: Question) -> Motion:
         """Judge that what moves by any account moves."""
         together, *others = [asked.judge(question) for asked in self._asked]
         for verdict in others:
             both = Motion(together.is_static & verdict.is_static, together.moving | verdict.moving)
-            if question.leaves_enough(both, self._min_matches):
+            if question.leaves_enough(both):
                 together = both
         return together

@@ -8,7 +8,6 @@ from stillroom.data.frame import Frame
 from stillroom.data.matches import Matches
 from stillroom.data.motion import Motion, Stage
 from stillroom.data.question import Question
-from stillroom.dynamics.asking import Enough
 from stillroom.dynamics.depth_history import DepthHistory, DepthHistoryConfig
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64, I64, Bool
@@ -28,7 +27,6 @@ class EpipolarConfig:
     Attributes:
         motion_model_px, keyframe_px, local_map_px: Largest distance from the epipolar line at each stage, on the
             finest level of the pyramid; tighter while the constant-velocity model leads (paper 2.2).
-        min_matches: The sieve is off where fewer matches than this would stay.
         min_agreeing: Earlier depth images that must show the surface.
         history: Those images.
     """
@@ -36,7 +34,6 @@ class EpipolarConfig:
     motion_model_px: float = 2.0
     keyframe_px: float = 4.0
     local_map_px: float = 3.0
-    min_matches: int = 20
     min_agreeing: int = 1
     history: DepthHistoryConfig = field(default_factory=DepthHistoryConfig)
 
@@ -57,7 +54,6 @@ class EpipolarSieve:
         """Start without a past."""
         self.config = config
         self.history = DepthHistory(config.history)
-        self.enough = Enough(config.min_matches)
 
     def judge(self, question: Question) -> Motion:
         """Judge every keypoint in a box by depth, and the matched ones by their epipolar lines too."""

@@ -9,7 +9,6 @@ from stillroom.data.frame import Frame
 from stillroom.data.matches import Matches
 from stillroom.data.motion import Motion, Stage
 from stillroom.data.question import Question
-from stillroom.dynamics.asking import Enough
 from stillroom.geometry.arrays import F64, Bool
 from stillroom.geometry.epipolar import line_distances_px
 
@@ -28,13 +27,11 @@ class PaperEpipolarConfig:
     Attributes:
         motion_model_px, keyframe_px: Largest distance from the epipolar line at the two stages.
         inlier_px: Tolerance of the robust estimate of the matrix.
-        min_matches: The sieve is off where fewer matches than this would stay.
     """
 
     motion_model_px: float = 1.0
     keyframe_px: float = 2.0
     inlier_px: float = 1.0
-    min_matches: int = 20
 
     def build(self, seed: int = 0) -> "PaperEpipolarSieve":
         """Return the sieve; the seed is that of the robust estimate."""
@@ -55,7 +52,6 @@ class PaperEpipolarSieve:
         self._usac.sampler = cv2.SAMPLING_UNIFORM
         self._usac.loMethod = cv2.LOCAL_OPTIM_SIGMA
         self._judged = -1
-        self.enough = Enough(config.min_matches)
         self._is_static = np.zeros(0, dtype=np.bool_)
 
     def judge(self, question: Question) -> Motion:
@@ -67,8 +63,10 @@ class PaperEpipolarSieve:
         if stage in (Stage.MOTION_MODEL, Stage.REFERENCE_KEYFRAME) and movable.has_any:
             inside = question.may_move[matches.keypoint]
             fails = self._fails(stage, frame, matches, inside)
-            if np.count_nonzero(~fails) >= min(self.config.min_matches, len(matches)):
-                self._is_static[matches.keypoint[fails]] = False
+            is_static = self._is_static.copy()
+            is_static[matches.keypoint[fails]] = False
+            if question.leaves_enough(Motion(is_static, movable.movable)):
+                self._is_static = is_static
         return Motion(self._is_static.copy(), movable.movable)
 
     def _fails(self, stage: Stage, frame: Frame, matches: Matches, inside: Bool) -> Bool:

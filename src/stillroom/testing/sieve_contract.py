@@ -22,7 +22,7 @@ from stillroom.data.motion import Motion, Stage
 from stillroom.data.question import Question
 from stillroom.data.semantics import Semantics
 from stillroom.datasets.open import open_dataset
-from stillroom.dynamics.asking import Asking, Enough
+from stillroom.dynamics.asking import Asking
 from stillroom.geometry.arrays import F64
 from stillroom.geometry.camera import Camera
 from stillroom.protocols import Dataset, MatchSieve, RememberingSieve
@@ -151,7 +151,6 @@ class _Checked:
 
     def __init__(self, sieve: MatchSieve) -> None:
         self.sieve = sieve
-        self.enough = getattr(sieve, "enough", Enough())
 
     def judge(self, question: Question) -> Motion:
         where = _where(question)

@@ -262,7 +262,7 @@ def test_each_stage_knows_of_the_past(play: Play, stage: Stage) -> None:
     np.testing.assert_array_equal(motion.is_static, ~on(frame, PERSON))
 
 
-@pytest.mark.parametrize(("n_left", "off"), [(19, True), (20, False)])
+@pytest.mark.parametrize(("n_left", "off"), [(39, True), (40, False)])
 def test_it_is_off_where_too_few_matches_would_stay(play: Play, n_left: int, off: bool) -> None:
     play.during(1.0)
 

@@ -8,7 +8,7 @@ from stillroom.data.cloud.clusters import Clusters
 from stillroom.data.frame import Frame
 from stillroom.data.motion import Motion, Stage
 from stillroom.data.question import Question
-from stillroom.dynamics.asking import Enough, ImageMemory
+from stillroom.dynamics.asking import ImageMemory
 from stillroom.dynamics.clusters.belief import Belief
 from stillroom.dynamics.clusters.pixels import MovingPixels
 from stillroom.dynamics.clusters.samples import Sampler, Samples
@@ -92,7 +92,6 @@ class ClusterSieve:
         self._pixels = MovingPixels(config.margin_px)
         self._past: ImageMemory[_Past] = ImageMemory(SAME_M, SAME_RAD)
         self._believed: ImageMemory[tuple[Clusters, F64]] = ImageMemory()
-        self.enough = Enough(config.boxes.min_matches)
 
     def judge(self, question: Question) -> Motion:
         """Judge boxes and clusters, and every keypoint by what it lies on."""

@@ -12,7 +12,6 @@ from stillroom.data.motion import Motion
 from stillroom.data.question import Question
 from stillroom.data.semantics import Semantics
 from stillroom.dynamics.ants.search import Found, ReverseSearchConfig, exhaustive
-from stillroom.dynamics.asking import Enough
 from stillroom.dynamics.homography.compensation import CameraMotion, Compensation, CompensationConfig
 from stillroom.dynamics.homography.past import Past, view_of
 from stillroom.dynamics.homography.point_motion import DYNAMIC, UNKNOWN, PointTest, PointTestConfig, View
@@ -38,8 +37,6 @@ class CompensatedHomographyConfig:
 
     Attributes:
         earlier_s: Age of the image that the present one is compared with [s].
-        min_matches: Geometry is not heard where fewer matches than this would stay, nor then masks: tracking needs 30
-            that agree.
         search: reverse, along the path; or exhaustive, every point.
         fill_px, fill_m: Pixels in the hull of a moving community move when they are this near to one of its points, in
             the image and in depth; the wall behind it does not.
@@ -49,7 +46,6 @@ class CompensatedHomographyConfig:
     """
 
     earlier_s: float = 0.1
-    min_matches: int = 40
     search: str = "reverse"
     fill_px: float = 40.0
     fill_m: float = 0.15
@@ -97,7 +93,6 @@ class CompensatedHomographySieve:
         self.config, self.seed = config, seed
         self._compensation = Compensation(config.compensation, seed)
         self._past = Past(config.earlier_s)
-        self.enough = Enough(config.min_matches, or_masks=True)
         self._ants = config.ants.build(seed)
         self._asked: Frame | None = None
         self._remembered: RgbdImage | None = None

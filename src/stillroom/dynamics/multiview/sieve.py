@@ -10,7 +10,7 @@ from stillroom.data.frame import Frame
 from stillroom.data.motion import Motion, Stage
 from stillroom.data.question import Question
 from stillroom.data.semantics import Instance, Semantics, union_of
-from stillroom.dynamics.asking import Enough, ImageMemory
+from stillroom.dynamics.asking import ImageMemory
 from stillroom.dynamics.multiview.geometry import GeometryConfig
 from stillroom.dynamics.multiview.views import CHOICES
 from stillroom.errors import ConfigError
@@ -37,8 +37,6 @@ class MultiViewConfig:
         overlap_share: For "geometry-first": both found the same when geometry covers this share of a network's mask.
         dilation_px: How far geometry's mask is grown, as an ellipse; keypoints on its border go with it. A network's
             mask is grown where it is made (`semantics.regions.dilate_px`).
-        min_matches: Geometry is not heard where fewer matches than this would stay, nor then the network: tracking
-            needs 30 that agree.
         test: The geometry.
     """
 
@@ -47,7 +45,6 @@ class MultiViewConfig:
     combination: str = UNION
     overlap_share: float = 0.3
     dilation_px: int = 6
-    min_matches: int = 40
     test: GeometryConfig = field(default_factory=GeometryConfig)
 
     def build(self, seed: int = 0) -> "MultiViewSieve":
@@ -75,7 +72,6 @@ class MultiViewSieve:
         self.geometry = config.test.build()
         self._quick: ImageMemory[tuple[Bool | None]] = ImageMemory(*NEAR)
         self._judged: ImageMemory[Bool] = ImageMemory()
-        self.enough = Enough(config.min_matches, or_masks=True)
 
     def judge(self, question: Question) -> Motion:
         """Judge every keypoint by the mask that it lies in.

@@ -9,7 +9,7 @@ from stillroom.data.cloud.clusters import Clusters
 from stillroom.data.frame import Frame
 from stillroom.data.motion import Motion, Stage
 from stillroom.data.question import Question
-from stillroom.dynamics.asking import Enough, ImageMemory
+from stillroom.dynamics.asking import ImageMemory
 from stillroom.dynamics.clusters.belief import Belief
 from stillroom.dynamics.clusters.pixels import MOVES, STAYS, MovingPixels
 from stillroom.dynamics.clusters.samples import Sampler
@@ -52,8 +52,6 @@ class MovedSegmentsConfig:
         fades_in_s: Time in which unsupported log-odds fall to 1/e.
         reach_m: How far a segment may move in depth between two images.
         margin_px: What lies this close to a moving segment and on no plane or other segment moves too.
-        min_matches: Segments are not heard where fewer matches than this would stay, nor then masks: tracking needs 30
-            that agree.
         test: When a point moves.
     """
 
@@ -70,7 +68,6 @@ class MovedSegmentsConfig:
     fades_in_s: float = 1.0
     reach_m: float = 0.3
     margin_px: int = 8
-    min_matches: int = 40
     test: PointTestConfig = field(default_factory=PointTestConfig)
 
     def build(self, seed: int = 0) -> "MovedSegments":
@@ -107,7 +104,6 @@ class MovedSegments:
         self._belief = Belief(config.fades_in_s, config.reach_m)
         self._pixels = MovingPixels(config.margin_px)
         self._finding: ImageMemory[_Finding] = ImageMemory(*NEAR)
-        self.enough = Enough(config.min_matches, or_masks=True)
 
     def judge(self, question: Question) -> Motion:
         """Judge that what may move does, and every segment that is found to."""

@@ -48,6 +48,7 @@ class Slam:
     clusterer: Clusterer
     features: FeatureExtractor
     keypoint_sieve: KeypointSieve
+    sieve: Asking
     tracker: Tracker
     recovery: Relocalizer
     keyframe_policy: KeyframePolicy
@@ -128,7 +129,7 @@ class Slam:
             self.schedule.submit(self.dense_mapper.carve, image, tracked.T_world_cam, moving)
 
     def _conclude(self, tracked: Tracked, semantics: Pending[Semantics], keyframe: int) -> FrameResult:
-        """Let the tracker remember the frame, mapping included, and note what is worth keeping of it."""
+        """Let tracker and sieve remember the frame, mapping included, and note what is worth keeping of it."""
         if keyframe >= 0:
             tracked = replace(
                 tracked,
@@ -138,6 +139,8 @@ class Slam:
             )
         self.tracker.remember(tracked, self.map)
         frame = tracked.frame
+        if tracked.T_world_cam is not None:
+            self.sieve.remember(frame, se3.inverse(tracked.T_world_cam), keyframe, self.map)
         is_static = frame.is_static & tracked.motion.is_static
         result = FrameResult(
             index=frame.image.index,
@@ -208,7 +211,7 @@ def build(
     clock = clock or StageClock()
     segmenter = segmenter or config.semantics.build()
     world = world or Map(config.features.scales)
-    sieve = timed_part(Asking(config.dynamics.build(config.seed)), clock, judge="dynamics")
+    sieve = timed_part(Asking(config.dynamics.build(config.seed)), clock, judge="dynamics", remember="dynamics")
     tracker = config.tracking.build(sieve, config.low_cost.build(sieve))
     places = config.places.build(world)
     places.remember_all()
@@ -222,6 +225,7 @@ def build(
         clusterer=clock.timed("clusters", config.clusters.build(camera, config.seed)),
         features=timed_part(config.features.build(camera, config.seed), clock, extract="features"),
         keypoint_sieve=config.keypoints.build(),
+        sieve=sieve,
         tracker=timed_part(tracker, clock, track="tracking"),
         recovery=timed_part(recovery, clock, recover="recovery"),
         keyframe_policy=config.keyframes.build(),

@@ -86,7 +86,7 @@ def test_a_sieve_without_a_memory_needs_no_word_of_one() -> None:
 
     asking = Asking(Plain())
     asking.judge(QUESTION)
-    asking.remember(FRAME, np.eye(4), 3)
+    asking.remember(FRAME, np.eye(4), 3, SMALL.map)
 
 
 def test_what_was_worked_out_holds_for_the_image_and_for_poses_that_are_near() -> None:

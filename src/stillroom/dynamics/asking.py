@@ -9,6 +9,7 @@ from typing import Generic, TypeVar
 
 from stillroom.data.frame import Frame
 from stillroom.data.image import RgbdImage
+from stillroom.data.map import Map
 from stillroom.data.map.jumps import JumpFollower
 from stillroom.data.motion import Motion, Stage
 from stillroom.data.question import Question
@@ -32,18 +33,26 @@ class Asking:
         """Return the sieve's verdict, or as much of it as leaves enough matches to track with."""
         if question.stage is Stage.RELOCALIZATION:
             return question.nothing_moves()
-        T_new_old = self._jumps.missed(question.world)
-        if T_new_old is not None and self._memory is not None:
-            self._memory.corrected(T_new_old)
-        motion = self.sieve.judge(question)
-        if question.stage is Stage.LOCAL_MAP:
-            self.remember(question.frame, question.T_cam_world, -1)
-        return question.enough_of(motion)
+        self._correct(question.world)
+        return question.enough_of(self.sieve.judge(question))
 
-    def remember(self, frame: Frame, T_cam_world: F64, keyframe: int) -> None:
-        """Hand a frame that is done, at its pose (4, 4), to a sieve with a memory; keyframe is −1 where it is none."""
+    def remember(self, frame: Frame, T_cam_world: F64, keyframe: int, world: Map) -> None:
+        """Hand a frame that is done to a sieve with a memory.
+
+        Args:
+            frame: The frame.
+            T_cam_world: Its refined pose (4, 4), in the map as it is now.
+            keyframe: Its id in the map where it became a keyframe; else −1.
+            world: The map.
+        """
+        self._correct(world)
         if self._memory is not None:
             self._memory.remember(frame, T_cam_world, keyframe)
+
+    def _correct(self, world: Map) -> None:
+        T_new_old = self._jumps.missed(world)
+        if T_new_old is not None and self._memory is not None:
+            self._memory.corrected(T_new_old)
 
 
 class ImageMemory(Generic[T]):

@@ -2,9 +2,11 @@
 
 from collections.abc import Sequence
 
+from stillroom.data.frame import Frame
 from stillroom.data.motion import Motion
 from stillroom.data.question import Question
 from stillroom.dynamics.asking import Asking
+from stillroom.geometry.arrays import F64
 from stillroom.protocols import MatchSieve
 
 
@@ -15,8 +17,17 @@ class Chain:
         """Take the sieves, at least one, the most trusted first; each is led through a life of its own."""
         self._asked = tuple(Asking(sieve) for sieve in sieves)
 
+    def remember(self, frame: Frame, T_cam_world: F64, keyframe: int) -> None:
+        """Hand the frame on to all of them."""
+        for asked in self._asked:
+            asked.remember(frame, T_cam_world, keyframe, self._world)
+
+    def corrected(self, T_new_old: F64) -> None:
+        """Do nothing: each of them is led on its own, and follows the map by itself."""
+
     def judge(self, question: Question) -> Motion:
         """Judge that what moves by any account moves."""
+        self._world = question.world
         together, *others = [asked.judge(question) for asked in self._asked]
         for verdict in others:
             both = Motion(together.is_static & verdict.is_static, together.moving | verdict.moving)

@@ -98,7 +98,7 @@ class _Tracking:
         return self
 
     def judge(self, question: Question) -> Motion:
-        stage, index = question.stage, question.frame.image.index
+        stage, index, self.world = question.stage, question.frame.image.index, question.world
         where, motion = _where(question), self.sieve.judge(question)
         _check_same(self.twin.judge(question), motion, f"{where}: another one of the same seed")
         _check_same(self.sieve.judge(question), motion, f"{where}: asked the same once more")
@@ -107,6 +107,13 @@ class _Tracking:
         if stage is Stage.MOTION_MODEL:
             self.last = question
         return motion
+
+    def remember(self, frame: Frame, T_cam_world: F64, keyframe: int) -> None:
+        for asked in (self.sieve, self.twin):
+            asked.remember(frame, T_cam_world, keyframe, self.world)
+
+    def corrected(self, T_new_old: F64) -> None:
+        """The sieve and its twin are led on their own."""
 
     def check_answers(self) -> None:
         missing = {Stage.MOTION_MODEL, Stage.REFERENCE_KEYFRAME, Stage.LOCAL_MAP} - {a.stage for a in self.answers}

@@ -15,6 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from stillroom.config import SlamConfig
+from stillroom.data.frame import Frame
 from stillroom.data.image import RgbdImage
 from stillroom.data.map import Map
 from stillroom.data.motion import Motion
@@ -88,7 +89,8 @@ class _Tracking:
         return self
 
     def judge(self, question: Question) -> Motion:
-        world, index = question.world, question.frame.image.index
+        self.world = world = question.world
+        index = question.frame.image.index
         motion = self.sieve.judge(question)
         if index < self.jump_at:
             other = self.twin.judge(question)
@@ -102,6 +104,17 @@ class _Tracking:
         n = int(np.count_nonzero(motion.moving != other.moving))
         assert n == 0, f"{where} says otherwise of {n} pixels"
         return motion
+
+    def remember(self, frame: Frame, T_cam_world: F64, keyframe: int) -> None:
+        self.sieve.remember(frame, T_cam_world, keyframe, self.world)
+        if frame.image.index < self.jump_at:
+            self.twin.remember(frame, T_cam_world, keyframe, self.world)
+            return
+        with _jumped(self.world, self.jump):
+            self.twin.remember(frame, T_cam_world @ se3.inverse(self.jump), keyframe, self.world)
+
+    def corrected(self, T_new_old: F64) -> None:
+        """The sieve and its twin are led on their own."""
 
 
 @contextmanager

@@ -8,6 +8,7 @@ import numpy as np
 from stillroom.config import SlamConfig
 from stillroom.config.kinds import DYNAMICS
 from stillroom.data.cloud.dense_cloud import DenseCloud
+from stillroom.data.frame import Frame
 from stillroom.data.motion import Motion
 from stillroom.data.question import Question
 from stillroom.datasets.open import open_dataset
@@ -24,6 +25,7 @@ from stillroom.evaluation.ghosts.patches import distances_to_patches_m
 from stillroom.evaluation.ghosts.views import DepthView, settled, sightings
 from stillroom.features.places.branch_matching import match_by_branch
 from stillroom.features.places.training import TrainingConfig, train
+from stillroom.geometry.arrays import F64
 from stillroom.optimize.reduced_system import SparseSystem
 from stillroom.protocols import MatchSieve
 from stillroom.semantics.depth_clusters import DepthClustersConfig
@@ -152,6 +154,15 @@ class EverySieve:
 
     def judge(self, question: Question) -> Motion:
         """Judge as the spokesman does."""
+        self._world = question.world
         for sieve in self._others:
             sieve.judge(question)
         return self._spokesman.judge(question)
+
+    def remember(self, frame: Frame, T_cam_world: F64, keyframe: int) -> None:
+        """Hand the frame on to all of them."""
+        for sieve in (self._spokesman, *self._others):
+            sieve.remember(frame, T_cam_world, keyframe, self._world)
+
+    def corrected(self, T_new_old: F64) -> None:
+        """Do nothing: each is led on its own."""

@@ -6,7 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from asked import ask
+from asked import ask, remember
 from flat_wall import before_the_wall
 from small_world import CAMERA, SCALES, SmallWorld, no_semantics, pose
 
@@ -147,7 +147,8 @@ def asked(
         motion = ask(sieve, at, frame, nothing, of_it, se3.inverse(T_world_cam), world)
         if index == 0:
             unseen = np.full(len(frame), -1, np.int32)
-            world.add_keyframe(frame, T_world_cam, unseen, motion.is_static, parent=-1)
+            keyframe = world.add_keyframe(frame, T_world_cam, unseen, motion.is_static, parent=-1)
+            remember(sieve, frame, se3.inverse(T_world_cam), keyframe, world)
     return motion, sieve
 
 
@@ -178,7 +179,8 @@ def test_what_low_cost_tracking_found_holds_as_long_as_its_pose_does(away_m: flo
     empty, _ = WORLD.look(pose(), index=0)
     empty = before_the_wall(empty, pose(), None, 1.5)
     ask(sieve, Stage.LOCAL_MAP, empty, nothing, no_semantics(), np.eye(4), world)
-    world.add_keyframe(empty, np.eye(4), np.full(len(empty), -1, np.int32), empty.is_static, parent=-1)
+    keyframe = world.add_keyframe(empty, np.eye(4), np.full(len(empty), -1, np.int32), empty.is_static, parent=-1)
+    remember(sieve, empty, np.eye(4), keyframe, world)
     frame, _ = WORLD.look(pose(), index=1)
     frame = before_the_wall(frame, pose(), FIGURE, 1.5)
     quick = ask(sieve, Stage.LOW_COST, frame, nothing, no_semantics(), np.eye(4), world)
@@ -237,14 +239,13 @@ def test_the_past_is_bounded_and_of_keyframes_only() -> None:
     for index in range(12):
         frame, _ = WORLD.look(pose(), index=index)
         frame = before_the_wall(frame, pose())
-        views.settle(world)
-        views.note(frame, np.eye(4), nothing)
+        keyframe = -1
         if index % 2 == 0:
             unseen = np.full(len(frame), -1, np.int32)
-            world.add_keyframe(frame, pose(), unseen, np.ones(len(frame), np.bool_), parent=-1)
-        if index == 6:
+            keyframe = world.add_keyframe(frame, pose(), unseen, np.ones(len(frame), np.bool_), parent=-1)
+        views.note(frame, np.eye(4), nothing, keyframe)
+        if index == 4:
             after_three = views.n_bytes
-    views.settle(world)
     assert len(views) == 3
     assert views.n_bytes <= 1.05 * after_three < 4e6
     assert views.ask(np.eye(4), Map(SCALES)) is None  # another map knows none of them
@@ -259,10 +260,9 @@ def test_keyframes_are_chosen_by_pose_or_over_time(choice: str, chosen: list[int
         T_world_cam = pose(0.1 * index, turn=(0.0, 1.2, 0.0)) if index == 8 else pose(0.1 * index)
         frame, _ = WORLD.look(T_world_cam, index=index)
         frame = before_the_wall(frame, pose(0.1 * index))
-        views.note(frame, se3.inverse(T_world_cam), nothing)
         unseen = np.full(len(frame), -1, np.int32)
-        world.add_keyframe(frame, T_world_cam, unseen, np.ones(len(frame), np.bool_), parent=-1)
-        views.settle(world)
+        keyframe = world.add_keyframe(frame, T_world_cam, unseen, np.ones(len(frame), np.bool_), parent=-1)
+        views.note(frame, se3.inverse(T_world_cam), nothing, keyframe)
     asked_views = views.ask(pose(0.75), world)
     assert asked_views is not None
     np.testing.assert_allclose(asked_views.T_world_cam[:, 0, 3], 0.1 * np.array(chosen))

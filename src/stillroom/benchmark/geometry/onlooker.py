@@ -113,9 +113,9 @@ class GeometryOnlooker:
         findings, seen = self._sieve.findings, self._multi_view.points_in_view(frame, T_cam_world, world)
         if findings is not None and seen is not None:
             self._compare(findings, seen, known.movable if known.has_any else None)
-        self._multi_view.views.note(frame, T_cam_world, tracked.motion.moving)
-        if result.is_keyframe:
-            self._multi_view.views.settle(world)
+        keyframe = tracked.reference_keyframe if result.is_keyframe else -1
+        self._multi_view.views.note(frame, T_cam_world, tracked.motion.moving, keyframe)
+        self._asking.remember(frame, T_cam_world, keyframe, world)
 
     def close(self) -> None:
         """Nothing is left open."""

@@ -80,7 +80,6 @@ class MultiViewSieve:
         the local-map stage, and the stages before are judged by the network alone: their matches are of points that
         were found to be static in the last frame. Under a mere guess of the pose everything would seem to move.
         """
-        self.geometry.views.settle(question.world)
         found = self._mask(question) if self.config.geometry else None
         moving = self._moving(found, question.known)
         self._judged.keep(question.frame.image, question.T_cam_world, moving)
@@ -88,10 +87,10 @@ class MultiViewSieve:
         return Motion(~moving[row, column], moving)
 
     def remember(self, frame: Frame, T_cam_world: F64, keyframe: int) -> None:
-        """Note what moves in the frame, which may become a keyframe."""
+        """Note what moves in the frame; a keyframe's depth is kept."""
         moving = self._judged.of(frame.image)
         if moving is not None and self.config.geometry:
-            self.geometry.views.note(frame, T_cam_world, moving)
+            self.geometry.views.note(frame, T_cam_world, moving, keyframe)
 
     def corrected(self, T_new_old: F64) -> None:
         """Move the memory along."""

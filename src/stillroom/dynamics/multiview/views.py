@@ -94,13 +94,12 @@ class _Noted:
 
 
 class KeyframeViews:
-    """The last keyframes. Told of every frame; which of them became keyframes is learnt from the map."""
+    """The last keyframes. Told of every frame, and which of them became keyframes."""
 
     def __init__(self, config: KeyframesConfig) -> None:
         """Start without any."""
         self.config = config
         self._views: deque[View] = deque(maxlen=config.kept)
-        self._newest: tuple[Frame, Bool, float] | None = None
         self._last: _Noted | None = None
 
     def __len__(self) -> int:
@@ -122,27 +121,24 @@ class KeyframeViews:
         turn_rad = float(se3.angle_rad(T_cam_world @ se3.inverse(self._last.T_cam_world)))
         return self.config.apart_s * frame.camera.fx * turn_rad / elapsed_s
 
-    def note(self, frame: Frame, T_cam_world: F64, moving: Bool) -> None:
-        """Take note of a frame at its pose (4, 4), which may become a keyframe, and of what moves in it (H, W)."""
+    def note(self, frame: Frame, T_cam_world: F64, moving: Bool, keyframe: int = -1) -> None:
+        """Take note of a frame; keep what it saw if it became a keyframe.
+
+        Args:
+            frame: The frame.
+            T_cam_world: Its pose (4, 4).
+            moving: What moves in it (H, W).
+            keyframe: Its id in the map; −1 where it is no keyframe.
+        """
         displaced_px = self.displaced_px(frame, T_cam_world)
         self._last = _Noted(frame.timestamp_s, T_cam_world.copy(), displaced_px)
-        self._newest = frame, moving, displaced_px
+        if keyframe >= 0:
+            self._views.append(self._view(keyframe, frame, moving, displaced_px))
 
     def follow(self, T_new_old: F64) -> None:
         """Move the pose noted last by a motion (4, 4) of the world's coordinates; the map knows the keyframes'."""
         if self._last is not None:
             self._last = replace(self._last, T_cam_world=self._last.T_cam_world @ se3.inverse(T_new_old))
-
-    def settle(self, world: Map) -> None:
-        """Keep the frame that was noted last, if it has become a keyframe since."""
-        if self._newest is None or len(world.keyframes) == 0:
-            return
-        last = len(world.keyframes) - 1
-        if world.keyframes.image_index[last] != self._newest[0].image.index:
-            return
-        if not self._views or self._views[-1].keyframe != last:
-            self._views.append(self._view(last, *self._newest))
-        self._newest = None
 
     def ask(self, T_world_cam: F64, world: Map) -> AskedViews | None:
         """Return the keyframes that overlap a pose (4, 4) best, or as the config wants them; None if too few."""

@@ -68,3 +68,20 @@ def test_fills_say_nothing_known() -> None:
     assert points.is_alive.all()
     assert np.all(keyframes.parent == -1)
     assert keyframes.is_alive.all()
+
+
+def test_a_side_column_grows_along_and_belongs_to_whoever_asked_for_it_alike() -> None:
+    table = Small(2)
+    table.append(2)
+    table.add_column("p_moving", np.float32, fill=0.5)
+    table.add_column("votes", np.int32, 2)
+    table.column("p_moving")[1] = 0.25
+    table.append(100)
+    assert table.column("p_moving")[:3].tolist() == [0.5, 0.25, 0.5]
+    assert table.column("votes").shape == (102, 2)
+    table.add_column("p_moving", np.float32, fill=0.5)
+    assert table.column("p_moving")[1] == 0.25
+    for name, fill in (("p_moving", 0.0), ("number", -1)):
+        with pytest.raises(ValueError, match=f"has another column '{name}' already"):
+            table.add_column(name, np.float32, fill=fill)
+    assert "votes" not in Small(2).views, "another table knows nothing of it"

@@ -28,8 +28,11 @@ def gtsam_minimum(problem: BundleProblem, use: np.ndarray, robust: bool) -> tupl
         weight, (u, v, r) = problem.weights[o], problem.observed_px[o]
         sigmas = 1.0 / np.sqrt(weight[[0, 2, 1]] if weight[2] > 0 else weight[:2])
         noise = gtsam.noiseModel.Diagonal.Sigmas(sigmas)
+        if problem.p_static is not None:
+            # Half of Σpρ(χ²) is the cost of a measurement with 1/p times the variance and Huber's k times √p.
+            noise = gtsam.noiseModel.Diagonal.Sigmas(sigmas / np.sqrt(problem.p_static[o]))
         if robust:
-            k = float(np.sqrt(limits(weight[None])[0]))
+            k = float(np.sqrt(limits(weight[None])[0] * (1.0 if problem.p_static is None else problem.p_static[o])))
             noise = gtsam.noiseModel.Robust.Create(gtsam.noiseModel.mEstimator.Huber.Create(k), noise)
         if weight[2] > 0:
             graph.add(gtsam.GenericStereoFactor3D(gtsam.StereoPoint2(u, r, v), noise, *keys, stereo))
@@ -74,6 +77,21 @@ def test_the_first_pass_finds_gtsams_huber_minimum(seed: int) -> None:
         huber_cost(problem, problem.T_cam_world, problem.points_world_m), rel=1e-9
     )
     assert largest_distance(result.T_cam_world, T) < 1e-4
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_observations_weigh_as_much_as_their_points_are_likely_to_be_static(seed: int) -> None:
+    plain = bundle(seed, share=0.9).problem
+    problem = replace(plain, p_static=np.random.default_rng(seed).uniform(0.1, 1.0, len(plain.obs_point)))
+    adjust = BundleConfig(iterations_second=0, **TO_THE_END).build()
+    result = adjust(problem, CAMERA)
+    T, _, cost = gtsam_minimum(problem, np.ones(len(problem.obs_point), dtype=bool), robust=True)
+    assert result.final_cost == pytest.approx(cost, rel=1e-6)
+    assert largest_distance(result.T_cam_world, T) < 1e-4
+    without, ones = adjust(plain, CAMERA), adjust(replace(plain, p_static=np.ones(len(plain.obs_point))), CAMERA)
+    np.testing.assert_array_equal(without.T_cam_world, ones.T_cam_world)
+    np.testing.assert_array_equal(without.points_world_m, ones.points_world_m)
+    assert largest_distance(result.T_cam_world, without.T_cam_world) > 1e-4, "it makes a difference"
 
 
 @pytest.mark.parametrize("seed", range(5))

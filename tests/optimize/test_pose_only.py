@@ -28,16 +28,19 @@ def test_linearize_matches_numpy_with_numerical_jacobians() -> None:
     is_active = np.random.default_rng(1).random(40) < 0.8
     p.points[5] = se3.transform(se3.inverse(p.T_guess), np.array([[0.1, 0.2, -2.0]]))[0]
     is_active[5] = True
+    p_static = np.random.default_rng(2).random(40)
     H, b = np.full((6, 6), 7.0), np.full(6, 7.0)
-    cost = linearize_pose(p.T_guess, p.points, p.observed, p.weights, is_active, INTRINSICS, 5.991, 7.815, H, b)
+    cost = linearize_pose(
+        p.T_guess, p.points, p.observed, p.weights, p_static, is_active, INTRINSICS, 5.991, 7.815, H, b
+    )
 
     chi2 = chi_squares(p.T_guess, p.points, p.observed, p.weights)
     chi2[5] = (p.weights[5] * (2 * CAMERA.fx) ** 2).sum()
     delta2 = limits(p.weights)
-    assert cost == pytest.approx(huber_rho(chi2, delta2)[is_active].sum(), rel=1e-10)
+    assert cost == pytest.approx((p_static * huber_rho(chi2, delta2))[is_active].sum(), rel=1e-10)
     expected_H, expected_b = np.zeros((6, 6)), np.zeros(6)
     for i in np.flatnonzero(is_active & (np.arange(40) != 5)):
-        factor = 1.0 if chi2[i] <= delta2[i] else np.sqrt(delta2[i] / chi2[i])
+        factor = p_static[i] * (1.0 if chi2[i] <= delta2[i] else np.sqrt(delta2[i] / chi2[i]))
         J = camera_jacobian(p.T_guess, p.points[i])
         error = predict(p.T_guess, p.points[i][None])[0] - p.observed[i]
         expected_H += factor * J.T @ np.diag(p.weights[i]) @ J
@@ -53,7 +56,7 @@ def test_the_gradient_is_that_of_the_cost() -> None:
 
     def cost(xi: np.ndarray) -> float:
         T = se3.exp(xi) @ p.T_guess
-        return linearize_pose(T, p.points, p.observed, p.weights, active, INTRINSICS, 5.991, 7.815, H, b)
+        return linearize_pose(T, p.points, p.observed, p.weights, np.ones(60), active, INTRINSICS, 5.991, 7.815, H, b)
 
     slopes = [(cost(1e-6 * e) - cost(-1e-6 * e)) / 2e-6 for e in np.eye(6)]
     cost(np.zeros(6))
@@ -86,14 +89,16 @@ def test_classify_matches_numpy_and_counts_changes() -> None:
     assert changed == np.count_nonzero(before != is_inlier)
 
 
-def oracle_pose(p, T_start: np.ndarray, use: np.ndarray, robust: bool) -> tuple[np.ndarray, float]:
-    """scipy's trust-region minimum of Σρ; a whole observation is one Huber term, hence √ρ as the residual's length."""
+def oracle_pose(
+    p, T_start: np.ndarray, use: np.ndarray, robust: bool, p_static: float | np.ndarray = 1.0
+) -> tuple[np.ndarray, float]:
+    """scipy's trust-region minimum of Σpρ; a whole observation is one Huber term, hence √ρ as the residual's length."""
 
     def residuals(xi: np.ndarray) -> np.ndarray:
         T = se3.exp(xi) @ T_start
         error = np.sqrt(p.weights) * np.where(p.weights > 0, predict(T, p.points) - p.observed, 0.0)
         chi2 = (error**2).sum(axis=1)
-        rho = huber_rho(chi2, limits(p.weights)) if robust else chi2
+        rho = p_static * (huber_rho(chi2, limits(p.weights)) if robust else chi2)
         return (error * np.sqrt(rho / np.maximum(chi2, 1e-300))[:, None])[use].ravel()
 
     found = least_squares(residuals, np.zeros(6), jac="3-point", xtol=1e-13, ftol=1e-14, gtol=1e-12)
@@ -111,6 +116,22 @@ def test_one_round_finds_the_minimum_of_the_huber_cost(seed: int) -> None:
     metres, radians = pose_distance(estimate.T_cam_world, T_oracle)
     assert metres < 1e-5
     assert radians < 1e-5
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_matches_weigh_as_much_as_their_points_are_likely_to_be_static(seed: int) -> None:
+    p = pose_problem(seed)
+    p_static = np.random.default_rng(seed).random(len(p.points))
+    optimize = PoseOptimizerConfig(rounds=1, iterations=50).build()
+    estimate = optimize(p.T_guess, p.points, p.observed, p.weights, CAMERA, p_static)
+    T_oracle, cost = oracle_pose(p, p.T_guess, np.ones(len(p.points), dtype=bool), True, p_static)
+    assert (p_static * huber_rho(estimate.chi2, limits(p.weights))).sum() == pytest.approx(cost, rel=1e-6)
+    assert max(pose_distance(estimate.T_cam_world, T_oracle)) < 1e-5
+    plain, ones = (
+        optimize(p.T_guess, p.points, p.observed, p.weights, CAMERA, w) for w in (None, np.ones(len(p_static)))
+    )
+    np.testing.assert_array_equal(plain.T_cam_world, ones.T_cam_world)
+    assert max(pose_distance(plain.T_cam_world, estimate.T_cam_world)) > 1e-5, "it makes a difference"
 
 
 @pytest.mark.parametrize("seed", range(6))

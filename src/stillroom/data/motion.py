@@ -5,7 +5,7 @@ from enum import Enum, auto
 
 import numpy as np
 
-from stillroom.geometry.arrays import Bool
+from stillroom.geometry.arrays import F32, Bool
 
 
 class Stage(Enum):
@@ -33,10 +33,20 @@ class Motion:
     Attributes:
         is_static: Verdict on each keypoint of the frame (N,).
         moving: Pixels that move (H, W).
+        p_static: Probability that each keypoint is static (N,) float32, 0 to 1, for those that pass as static: it
+            weighs their matches when the pose is found, and their observations in bundle adjustment. None where the
+            sieve knows yes and no only; all then weigh the same.
     """
 
     is_static: Bool
     moving: Bool = field(repr=False)
+    p_static: F32 | None = field(default=None, repr=False)
+
+    def united_with(self, other: "Motion") -> "Motion":
+        """Return the verdict that what moves by either account moves; probabilities multiply."""
+        known = [p for p in (self.p_static, other.p_static) if p is not None]
+        both = None if not known else known[0] if len(known) == 1 else known[0] * known[1]
+        return Motion(self.is_static & other.is_static, self.moving | other.moving, both)
 
     @staticmethod
     def none(n_keypoints: int, height: int, width: int) -> "Motion":

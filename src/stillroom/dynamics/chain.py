@@ -30,7 +30,7 @@ class Chain:
         self._world = question.world
         together, *others = [asked.judge(question) for asked in self._asked]
         for verdict in others:
-            both = Motion(together.is_static & verdict.is_static, together.moving | verdict.moving)
+            both = together.united_with(verdict)
             if question.leaves_enough(both):
                 together = both
         return together

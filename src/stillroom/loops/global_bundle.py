@@ -52,6 +52,7 @@ class GlobalBundle:
             obs_point=place,
             observed_px=measurements.observed_px(table.px[self._rows], right_px),
             weights=measurements.weights(table.octave[self._rows], right_px, world.scales.inverse_variances),
+            p_static=table.p_static[self._rows],
         )
 
     def solve(self, camera: Camera, adjust: BundleAdjuster, stop: Callable[[], bool] | None = None) -> BundleResult:

@@ -43,6 +43,7 @@ def adjust_these(free: list[int], camera: Camera, adjust: BundleAdjuster, world:
         obs_point=place,
         observed_px=measurements.observed_px(table.px[rows], table.right_px[rows]),
         weights=measurements.weights(table.octave[rows], table.right_px[rows], world.scales.inverse_variances),
+        p_static=table.p_static[rows],
     )
     result = adjust(problem, camera)
     moved = np.flatnonzero(~is_fixed)

@@ -67,6 +67,7 @@ class LocalMapper:
             tracked.point_ids,
             tracked.motion.is_static & tracked.frame.is_static,
             tracked.reference_keyframe,
+            tracked.motion.p_static,
         )
         new = from_depth(keyframe, tracked, self._close_depth_m, self.world)
         self._on_trial = np.append(self._on_trial, new)

@@ -35,6 +35,8 @@ class BundleProblem:
         obs_keyframe, obs_point: Indices into the above (O,), in any order.
         observed_px: u, v, u_right (O, 3) [px], undistorted; u_right is not read where its weight is 0.
         weights: Inverse variances (O, 3) [1/px²]; the third is 0 where there is no right coordinate.
+        p_static: How much each observation counts (O,), 0 to 1: the probability that its point was static. It weighs
+            the robust cost; whether an observation agrees is judged by its χ² alone. All 1 where not given.
     """
 
     T_cam_world: Floats
@@ -44,6 +46,7 @@ class BundleProblem:
     obs_point: Ints
     observed_px: Floats
     weights: Floats
+    p_static: Floats | None = None
 
 
 @dataclass(frozen=True)
@@ -54,7 +57,7 @@ class BundleResult:
         T_cam_world: Keyframe poses (K, 4, 4) float64.
         points_world_m: Points (P, 3) float64 [m].
         is_inlier: Which observations agree (O,) bool, in the problem's order.
-        initial_cost, final_cost: Huber's Σρ(χ²) of the observations that were in front of their cameras at the start.
+        initial_cost, final_cost: Huber's Σpρ(χ²) of the observations that were in front of their cameras at the start.
         n_iterations: Steps tried, of both passes together.
     """
 
@@ -126,6 +129,7 @@ class _Adjustment:
             self.keyframes,
             np.asarray(problem.observed_px, dtype=np.float64).reshape(-1, 3)[self.order],
             self.weights,
+            self._p_static(problem),
             self.is_active,
             intrinsics_of(camera),
         )
@@ -139,6 +143,11 @@ class _Adjustment:
         )
         self.factors = np.empty((n_points, 6))
         self.system = reduced_system(n_free, starts, self.slots)
+
+    def _p_static(self, problem: BundleProblem) -> F64:
+        if problem.p_static is None:
+            return np.ones(len(self.order))
+        return np.asarray(problem.p_static, dtype=np.float64)[self.order]
 
     def evaluate(self, T: F64, points: F64, deltas2: tuple[float, float]) -> float:
         """Return the robust cost of the active observations; leaves every observation's χ² in `chi2`."""

@@ -34,13 +34,14 @@ def evaluate(
     keyframes: I64,
     observed: F64,
     weights: F64,
+    p_static: F64,
     is_active: Bool,
     intrinsics: F64,
     delta2_2d: float,
     delta2_3d: float,
     chi2: F64,
 ) -> float:
-    """Write χ² (O,) of every observation; return the robust cost Σρ of the active ones."""
+    """Write χ² (O,) of every observation; return the robust cost Σpρ of the active ones."""
     cost = 0.0
     for p in range(points.shape[0]):
         for o in range(starts[p], starts[p + 1]):
@@ -49,7 +50,7 @@ def evaluate(
             if is_active[o]:
                 seen = chi2[o] < np.inf
                 value = chi2[o] if seen else behind_chi_square(weights[o], intrinsics)
-                cost += huber(value, delta2_3d if weights[o, 2] > 0.0 else delta2_2d)[0]
+                cost += p_static[o] * huber(value, delta2_3d if weights[o, 2] > 0.0 else delta2_2d)[0]
     return cost
 
 
@@ -85,6 +86,7 @@ def linearize(
     keyframes: I64,
     observed: F64,
     weights: F64,
+    p_static: F64,
     is_active: Bool,
     intrinsics: F64,
     delta2_2d: float,
@@ -117,7 +119,7 @@ def linearize(
             if not chi2 < np.inf:
                 continue
             has_right = weights[o, 2] > 0.0
-            factor = huber(chi2, delta2_3d if has_right else delta2_2d)[1]
+            factor = p_static[o] * huber(chi2, delta2_3d if has_right else delta2_2d)[1]
             e_u, e_v, e_r = residual(x, y, z, observed[o], intrinsics, has_right)
             info = point_information(x, y, z, e_u, e_v, e_r, weights[o], factor, intrinsics)
             g0, g1, g2 = info[6], info[7], info[8]

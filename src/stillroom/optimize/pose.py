@@ -59,6 +59,7 @@ def linearize_pose(
     points_world_m: F64,
     observed_px: F64,
     weights: F64,
+    p_static: F64,
     is_active: Bool,
     intrinsics: F64,
     delta2_2d: float,
@@ -66,7 +67,7 @@ def linearize_pose(
     H: F64,
     b: F64,
 ) -> float:
-    """Write the normal equations of the pose, lower triangle of `H` (6, 6) and `b` (6,); return the robust cost Σρ."""
+    """Write the normal equations of the pose, lower triangle of `H` (6, 6) and `b` (6,); return the robust cost Σpρ."""
     H[:] = 0.0
     b[:] = 0.0
     cost = 0.0
@@ -78,12 +79,12 @@ def linearize_pose(
         has_right = weights[i, 2] > 0.0
         delta2 = delta2_3d if has_right else delta2_2d
         if chi2 == np.inf:
-            cost += huber(behind_chi_square(weights[i], intrinsics), delta2)[0]
+            cost += p_static[i] * huber(behind_chi_square(weights[i], intrinsics), delta2)[0]
             continue
         rho, factor = huber(chi2, delta2)
-        cost += rho
+        cost += p_static[i] * rho
         e_u, e_v, e_r = residual(x, y, z, observed_px[i], intrinsics, has_right)
-        information = point_information(x, y, z, e_u, e_v, e_r, weights[i], factor, intrinsics)
+        information = point_information(x, y, z, e_u, e_v, e_r, weights[i], p_static[i] * factor, intrinsics)
         camera_blocks(x, y, z, information, H, b)
     return cost
 
@@ -165,14 +166,18 @@ class PoseOptimizerConfig:
 class _Problem:
     """One call's arrays, as the kernels take them, and its scratch."""
 
-    def __init__(self, points_world_m: Floats, observed_px: Floats, weights: Floats, camera: Camera) -> None:
+    def __init__(
+        self, points_world_m: Floats, observed_px: Floats, weights: Floats, camera: Camera, p_static: Floats | None
+    ) -> None:
         self.arrays = tuple(
             np.ascontiguousarray(array, dtype=np.float64).reshape(-1, 3)
             for array in (points_world_m, observed_px, weights)
         )
+        n = len(self.arrays[0])
+        self.p_static = np.ones(n) if p_static is None else np.asarray(p_static, dtype=np.float64)
         self.intrinsics = intrinsics_of(camera)
-        self.chi2 = np.empty(len(self.arrays[0]))
-        self.is_inlier = np.zeros(len(self.arrays[0]), dtype=np.bool_)
+        self.chi2 = np.empty(n)
+        self.is_inlier = np.zeros(n, dtype=np.bool_)
 
     def classify(self, T_cam_world: F64, limit_2d: float, limit_3d: float) -> int:
         """Judge every observation; return how many verdicts changed."""
@@ -183,7 +188,7 @@ class _Problem:
         H, b, H_trial, b_trial = np.empty((6, 6)), np.empty(6), np.empty((6, 6)), np.empty(6)
         T, T_trial = T_cam_world, np.empty((4, 4))
         damping = _FIRST_DAMPING
-        rest = (*self.arrays, self.is_inlier, self.intrinsics, delta2_2d, delta2_3d)
+        rest = (*self.arrays, self.p_static, self.is_inlier, self.intrinsics, delta2_2d, delta2_3d)
         cost = linearize_pose(T, *rest, H, b)
         for _ in range(iterations):
             step = damped_step(H, b, damping, T, T_trial)
@@ -215,6 +220,7 @@ class PoseOptimizer:
         observed_px: Floats,
         weights: Floats,
         camera: Camera,
+        p_static: Floats | None = None,
     ) -> PoseEstimate:
         """Optimise the pose and judge every observation.
 
@@ -232,10 +238,12 @@ class PoseOptimizer:
             observed_px: u, v, u_right (N, 3) [px], undistorted; u_right is not read where its weight is 0.
             weights: Inverse variances (N, 3) [1/px²]; the third is 0 where there is no right coordinate.
             camera: Intrinsics and bf.
+            p_static: How much each observation counts (N,), 0 to 1: the probability that its point is static. It
+                weighs the robust cost; whether an observation agrees is judged by its χ² alone. All 1 where not given.
         """
         config = self.config
         guess = np.array(T_cam_world_guess, dtype=np.float64)
-        problem = _Problem(points_world_m, observed_px, weights, camera)
+        problem = _Problem(points_world_m, observed_px, weights, camera, p_static)
         problem.classify(guess, np.inf, np.inf)
         T = guess
         for round_index in range(config.rounds):

@@ -223,7 +223,7 @@ class Tracker:
         return self.config.min_inliers_recovered if recovering else self.config.min_inliers
 
     def _fix(self, frame: Frame, guess: F64, matches: Matches, motion: Motion, world: Map) -> _Fix:
-        """Optimise the pose over the matches and tell which of them agree with it."""
+        """Optimise the pose over the matches and return which of them agree with it."""
         kp = frame.keypoints
         right_px = kp.right_px[matches.keypoint]
         estimate = self._optimize(
@@ -232,6 +232,7 @@ class Tracker:
             measurements.observed_px(kp.px[matches.keypoint], right_px),
             measurements.weights(kp.octave[matches.keypoint], right_px, frame.scales.inverse_variances),
             frame.camera,
+            None if motion.p_static is None else motion.p_static[matches.keypoint],
         )
         point_ids = np.full(len(frame), -1, dtype=np.int32)
         inlier = estimate.is_inlier

@@ -9,7 +9,7 @@ from stillroom.data.map import links, marks
 from stillroom.data.map.covisibility import Covisibility
 from stillroom.data.map.tables import KeyframeTable, KeypointTable, PointTable
 from stillroom.geometry import se3
-from stillroom.geometry.arrays import F64, I32, I64, Bool, Ints
+from stillroom.geometry.arrays import F32, F64, I32, I64, Bool, Ints
 from stillroom.geometry.hamming import words
 
 
@@ -41,7 +41,15 @@ class Map:
 
     # Keyframes
 
-    def add_keyframe(self, frame: Frame, T_world_cam: F64, point_ids: I32, is_static: Bool, parent: int) -> int:
+    def add_keyframe(
+        self,
+        frame: Frame,
+        T_world_cam: F64,
+        point_ids: I32,
+        is_static: Bool,
+        parent: int,
+        p_static: F32 | None = None,
+    ) -> int:
         """Add a frame as a keyframe that sees the given points.
 
         Args:
@@ -50,6 +58,7 @@ class Map:
             point_ids: Point that each keypoint sees (N,), −1 for none.
             is_static: Verdict on each keypoint (N,); the others never make or see a point.
             parent: Keyframe that it hangs on; −1 for one that begins a sub-map, as the first does.
+            p_static: Probability that each keypoint is static (N,); 1 where not given.
 
         Returns:
             The id of the new keyframe.
@@ -65,6 +74,7 @@ class Map:
             depth_m=kp.depth_m,
             descriptors=kp.descriptors,
             is_static=is_static,
+            p_static=1.0 if p_static is None else p_static,
         )
         self.keyframes.append(
             1,

@@ -50,6 +50,29 @@ class Table:
         """Rows in use."""
         return self._length
 
+    def add_column(self, name: str, dtype: type[np.generic], *tail: int, fill: float = 0) -> None:
+        """Add a side column, which belongs to the part that asks for it; the map itself never reads it.
+
+        Rows that there are, and rows that come, start as `fill`. Asked for again alike, the column stays as it is.
+
+        Raises:
+            ValueError: There is another column of this name.
+        """
+        column = Column(dtype, *tail, fill=fill)
+        column.name = name
+        known = next((other for other in self.columns if other.name == name), None)
+        if known is not None:
+            if known in vars(type(self)).values() or (known.dtype, known.tail, known.fill) != (dtype, tail, fill):
+                raise ValueError(f"{type(self).__name__} has another column '{name}' already")
+            return
+        self.columns = (*self.columns, column)
+        self.buffers[name] = np.full((self._capacity, *tail), fill, dtype=dtype)
+        self._look_again()
+
+    def column(self, name: str) -> NDArray[Any]:
+        """Return the rows in use of a column, side columns among them; no view outlives a growth."""
+        return self.views[name]
+
     def append(self, n_rows: int, /, **values: Any) -> slice:
         """Add rows; columns not named keep their fill. Return where they lie."""
         start, stop = self._length, self._length + n_rows
@@ -78,8 +101,9 @@ class Table:
 class KeypointTable(Table):
     """All keypoints of all keyframes, keyframe after keyframe. A row that sees a point is an observation.
 
-    Positions are undistorted pixels; `right_px` is −1 where depth is unknown. `next_row` links the rows that see
-    one point into a list that starts at the point's `first_row`.
+    Positions are undistorted pixels; `right_px` is −1 where depth is unknown. `p_static` weighs an observation where
+    a sieve gave probabilities. `next_row` links the rows that see one point into a list that starts at the point's
+    `first_row`.
     """
 
     keyframe = Column(np.int32, fill=-1)
@@ -90,6 +114,7 @@ class KeypointTable(Table):
     depth_m = Column(np.float32)
     descriptors = Column(np.uint8, 32)
     is_static = Column(np.bool_, fill=1)
+    p_static = Column(np.float32, fill=1)
     point = Column(np.int32, fill=-1)
     next_row = Column(np.int32, fill=-1)
 

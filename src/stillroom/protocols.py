@@ -20,6 +20,7 @@ The sockets are structural: nothing inherits from them. `stillroom.testing` hold
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import ParamSpec, Protocol, TypeVar, runtime_checkable
 
 from stillroom.data.cloud.dense_cloud import DenseCloud
@@ -154,11 +155,37 @@ class QuickTracking(Protocol):
         """
 
 
-class Timing(Protocol):
-    """Lets a part have pieces of its work timed, each under a name."""
+class Clock(Protocol):
+    """Lets a part have pieces of its work timed."""
 
-    def __call__(self, name: str, function: Callable[P, T], /) -> Callable[P, T]:
-        """Return the function, timed."""
+    def timed(self, name: str, function: Callable[P, T], /) -> Callable[P, T]:
+        """Return the function, timed under a name."""
+
+
+class NoClock:
+    """Times nothing."""
+
+    def timed(self, name: str, function: Callable[P, T], /) -> Callable[P, T]:
+        """Return the function."""
+        return function
+
+
+@dataclass(frozen=True)
+class Parts:
+    """What a part of a system is built of; every `build` of a config takes it.
+
+    Attributes:
+        camera: The calibration of the images.
+        world: The map, which may hold what earlier runs left in it. A segmenter is built before the map of a run is
+            opened and finds an empty one here.
+        seed: Where every random choice starts.
+        clock: Times pieces of the part's work.
+    """
+
+    camera: Camera
+    world: Map
+    seed: int = 0
+    clock: Clock = field(default_factory=NoClock)
 
 
 class DenseMapping(Protocol):

@@ -26,6 +26,7 @@ from stillroom.protocols import (
     FeatureExtractor,
     KeypointSieve,
     MapKeeping,
+    Parts,
     Pending,
     RunObserver,
     Schedule,
@@ -140,7 +141,7 @@ class Slam:
         self.tracker.remember(tracked, self.map)
         frame = tracked.frame
         if tracked.T_world_cam is not None:
-            self.sieve.remember(frame, se3.inverse(tracked.T_world_cam), keyframe, self.map)
+            self.sieve.remember(frame, se3.inverse(tracked.T_world_cam), keyframe)
         is_static = frame.is_static & tracked.motion.is_static
         result = FrameResult(
             index=frame.image.index,
@@ -209,29 +210,28 @@ def build(
         VocabularyError: The vocabulary of places cannot be read.
     """
     clock = clock or StageClock()
-    segmenter = segmenter or config.semantics.build()
     world = world or Map(config.features.scales)
-    sieve = timed_part(Asking(config.dynamics.build(config.seed)), clock, judge="dynamics", remember="dynamics")
-    tracker = config.tracking.build(sieve, config.low_cost.build(sieve))
-    places = config.places.build(world)
+    parts = Parts(camera, world, config.seed, clock)
+    segmenter = segmenter or config.semantics.build(parts)
+    sieve = timed_part(Asking(config.dynamics.build(parts), world), clock, judge="dynamics", remember="dynamics")
+    tracker = config.tracking.build(parts, sieve, config.low_cost.build(parts, sieve))
+    places = config.places.build(parts)
     places.remember_all()
-    recovery = config.recovery.build(tracker, places, config.seed)
-    dense_mapper = config.dense.build(camera, world, clock.timed)
-    joiner = config.joining.build(camera, world, places, config.seed, after=(dense_mapper.refresh,))
-    loop_closer = config.loops.build(camera, world, places, config.seed, after=(dense_mapper.refresh,))
+    recovery = config.recovery.build(parts, tracker, places)
+    dense_mapper = config.dense.build(parts)
+    joiner = config.joining.build(parts, places, after=(dense_mapper.refresh,))
+    loop_closer = config.loops.build(parts, places, after=(dense_mapper.refresh,))
     return Slam(
         schedule=schedule or InOrder(),
         segmenter=clock.timed("semantics", segmenter),
-        clusterer=clock.timed("clusters", config.clusters.build(camera, config.seed)),
-        features=timed_part(config.features.build(camera, config.seed), clock, extract="features"),
-        keypoint_sieve=config.keypoints.build(),
+        clusterer=clock.timed("clusters", config.clusters.build(parts)),
+        features=timed_part(config.features.build(parts), clock, extract="features"),
+        keypoint_sieve=config.keypoints.build(parts),
         sieve=sieve,
         tracker=timed_part(tracker, clock, track="tracking"),
         recovery=timed_part(recovery, clock, recover="recovery"),
-        keyframe_policy=config.keyframes.build(),
-        mapper=timed_part(
-            config.mapping.build(camera, world), clock, insert="keyframe", refine="mapping", finish="rest"
-        ),
+        keyframe_policy=config.keyframes.build(parts),
+        mapper=timed_part(config.mapping.build(parts), clock, insert="keyframe", refine="mapping", finish="rest"),
         places=timed_part(places, clock, remember="places"),
         joiner=timed_part(joiner, clock, join="joining"),
         loop_closer=timed_part(loop_closer, clock, close="loops"),
@@ -241,6 +241,15 @@ def build(
         observer=observer or Nothing(),
         first_keyframe=len(world.keyframes),
     )
+
+
+def segmenter_of(config: SlamConfig, camera: Camera) -> Segmenter:
+    """Return the segmenter of a config on its own, for whoever must know early whether all that it needs is there.
+
+    Raises:
+        ConfigError, WeightsError: As `build`.
+    """
+    return config.semantics.build(Parts(camera, Map(config.features.scales), config.seed))
 
 
 def _trajectory(timestamps_s: list[float], poses: list[F64]) -> Trajectory:

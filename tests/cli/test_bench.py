@@ -9,6 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from building import parts
 from typer.testing import CliRunner, Result
 
 from stillroom.benchmark import trial as trials
@@ -86,7 +87,7 @@ def test_rejection_prints_a_row_for_each_way_and_counts_what_is_kept(tmp_path: P
     for name in rows:
         assert any(line.strip().startswith(name) for line in result.stdout.splitlines())
     dataset = select(open_dataset(ROOM), FRAMES)
-    features = SlamConfig().features.build(dataset.camera)
+    features = SlamConfig().features.build(parts(dataset.camera))
     found, outside, boxed = 0, 0, 0
     for place in range(N_FRAMES):
         image = dataset.load(place)

@@ -15,7 +15,7 @@ from stillroom.data.semantics import Semantics
 from stillroom.datasets.open import open_dataset
 from stillroom.datasets.selection import select
 from stillroom.dynamics.whole_boxes import WholeBoxes
-from stillroom.protocols import Dataset
+from stillroom.protocols import Dataset, Parts
 from stillroom.testing.sieve_contract import TINY, check_sieve
 from stillroom.testing.true_clusters import true_clusters
 
@@ -37,8 +37,8 @@ def short() -> Dataset:
 class Fine(WholeBoxes):
     """A sieve that keeps the contract; the classes below break one promise each."""
 
-    def __init__(self, seed: int = 0) -> None:
-        self.seed = seed
+    def __init__(self, parts: Parts) -> None:
+        self.seed = parts.seed
 
     def judge(self, question: Question) -> Motion:
         q = question
@@ -99,8 +99,8 @@ class Impatient(Fine):
 class OneBuffer(Fine):
     """Hands out the same array again and again."""
 
-    def __init__(self, seed: int) -> None:
-        super().__init__(seed)
+    def __init__(self, parts: Parts) -> None:
+        super().__init__(parts)
         self.moving = np.zeros((480, 640), np.bool_)
 
     def spoil(self, motion: Motion, stage: Stage, matches: Matches) -> Motion:

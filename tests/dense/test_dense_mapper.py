@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from building import parts
 from plain_room import CAMERA, depth_of_box, flat, image, pose
 from posed_keyframes import PosedKeyframes
 
@@ -35,7 +36,7 @@ def view(T_world_cam: np.ndarray, index: int):
 
 def mapped(poses: np.ndarray, config: DenseMapperConfig, true_poses: np.ndarray | None = None) -> DenseMapper:
     """A map of the box from keyframes; what they see is by their true poses, where these differ."""
-    mapper = config.build(CAMERA, PosedKeyframes(poses))
+    mapper = config.build(parts(CAMERA, PosedKeyframes(poses)))
     for k, T_world_cam in enumerate(poses if true_poses is None else true_poses):
         mapper.integrate(k, view(T_world_cam, k), None)
     return mapper
@@ -89,7 +90,7 @@ def test_corrections_come_with_new_keyframes_too() -> None:
     true = in_a_box(5)
     wrong = true.copy()
     wrong[1, :3, 3] += 0.1
-    mapper = PLAIN.build(CAMERA, PosedKeyframes(wrong))
+    mapper = PLAIN.build(parts(CAMERA, PosedKeyframes(wrong)))
     for k in range(4):
         mapper.integrate(k, view(true[k], k))
     mapper.world.keyframes.T_world_cam[1] = true[1]
@@ -101,13 +102,13 @@ def test_a_culled_keyframe_goes_where_the_one_it_hangs_on_goes() -> None:
     true = in_a_box(3)
     shift = pose(0.05, -0.03, 0.02, (0.0, 0.02, 0.0))
     world = PosedKeyframes(true.copy())
-    mapper = PLAIN.build(CAMERA, world)
+    mapper = PLAIN.build(parts(CAMERA, world))
     for k in range(3):
         mapper.integrate(k, view(true[k], k))
     world.cull(2)
     world.keyframes.T_world_cam[1] = shift @ true[1]
     mapper.refresh()
-    expected = PLAIN.build(CAMERA, world)
+    expected = PLAIN.build(parts(CAMERA, world))
     for k in range(3):
         expected.integrate(k, view(true[k], k))
     assert sums(mapper) == sums(expected)
@@ -116,7 +117,7 @@ def test_a_culled_keyframe_goes_where_the_one_it_hangs_on_goes() -> None:
 def test_a_frame_fused_between_keyframes_goes_with_its_keyframe() -> None:
     true = in_a_box(2)
     world = PosedKeyframes(true[:1].copy())
-    mapper = replace(PLAIN, fuse_every=1).build(CAMERA, world)
+    mapper = replace(PLAIN, fuse_every=1).build(parts(CAMERA, world))
     mapper.integrate(0, view(true[0], 0))
     mapper.carve(view(true[1], 1), true[1])
     world.keyframes.T_world_cam[0] = pose(0.5) @ true[0]
@@ -156,7 +157,7 @@ def still(n: int = 60) -> PosedKeyframes:
 def test_what_is_marked_as_moving_is_never_fused_and_without_removal_it_is() -> None:
     moving = with_block() < 2
     for config, n_least, n_most in ((FULL, 0, 0), (PLAIN, 500, 9999)):
-        mapper = config.build(CAMERA, still())
+        mapper = config.build(parts(CAMERA, still()))
         for k in range(3):
             mapper.integrate(k, image(with_block(), k), moving)
         assert n_least <= n_near(mapper, 1.5) <= n_most
@@ -168,7 +169,7 @@ def test_what_moves_now_is_removed_from_what_was_fused_before_and_what_lies_besi
     depth_m = flat(1.5)
     moving = np.zeros(depth_m.shape, dtype=np.bool_)
     moving[BLOCK] = True
-    mapper = replace(FULL, carving=CarvingConfig(every=1000)).build(CAMERA, still())
+    mapper = replace(FULL, carving=CarvingConfig(every=1000)).build(parts(CAMERA, still()))
     mapper.integrate(0, image(depth_m))
     n_all = n_near(mapper, 1.5)
     mapper.integrate(1, image(depth_m), moving)
@@ -181,7 +182,7 @@ def test_what_moves_now_is_removed_from_what_was_fused_before_and_what_lies_besi
 
 def test_what_was_removed_does_not_come_back_when_its_keyframe_is_fused_anew() -> None:
     world = still()
-    mapper = FULL.build(CAMERA, world)
+    mapper = FULL.build(parts(CAMERA, world))
     mapper.integrate(0, image(with_block()))
     assert n_near(mapper, 1.5) > 500
     mapper.integrate(1, image(with_block(), 1), with_block() < 2)
@@ -202,7 +203,7 @@ def frames(mapper: DenseMapper, depth_m: np.ndarray, first: int, n: int, keyfram
 
 @pytest.mark.parametrize("keyframes", [True, False])
 def test_what_stood_for_long_goes_when_rays_pass_through_its_place(keyframes: bool) -> None:
-    mapper = replace(FULL, carving=CarvingConfig(every=1)).build(CAMERA, still())
+    mapper = replace(FULL, carving=CarvingConfig(every=1)).build(parts(CAMERA, still()))
     frames(mapper, with_block(), 0, 20, keyframes=True)
     assert n_near(mapper, 1.5) > 500
     frames(mapper, flat(3.0), 20, 25, keyframes)
@@ -212,7 +213,7 @@ def test_what_stood_for_long_goes_when_rays_pass_through_its_place(keyframes: bo
 
 @pytest.mark.parametrize("keyframes", [True, False])
 def test_what_comes_to_stand_where_it_was_free_is_doubted_first_and_shown_in_the_end(keyframes: bool) -> None:
-    mapper = replace(FULL, carving=CarvingConfig(every=1)).build(CAMERA, still())
+    mapper = replace(FULL, carving=CarvingConfig(every=1)).build(parts(CAMERA, still()))
     frames(mapper, flat(3.0), 0, 12, keyframes=True)
     mapper.integrate(12, image(with_block()))
     assert n_near(mapper, 1.5) == 0
@@ -223,7 +224,7 @@ def test_what_comes_to_stand_where_it_was_free_is_doubted_first_and_shown_in_the
 def test_what_was_free_is_still_known_after_the_map_has_jumped() -> None:
     """As when two sub-maps are joined, which lie half a kilometre apart."""
     world = still()
-    mapper = replace(FULL, carving=CarvingConfig(every=1)).build(CAMERA, world)
+    mapper = replace(FULL, carving=CarvingConfig(every=1)).build(parts(CAMERA, world))
     frames(mapper, flat(3.0), 0, 12, keyframes=True)
     jump = pose(500.0, 1.0, 0.5, turn=(0.0, 0.7, 0.0))
     world.keyframes.T_world_cam[:] = jump @ world.keyframes.T_world_cam
@@ -235,7 +236,7 @@ def test_what_was_free_is_still_known_after_the_map_has_jumped() -> None:
 
 
 def test_without_removal_nothing_is_carved() -> None:
-    mapper = PLAIN.build(CAMERA, still())
+    mapper = PLAIN.build(parts(CAMERA, still()))
     frames(mapper, with_block(), 0, 2, keyframes=True)
     n = n_near(mapper, 1.5)
     frames(mapper, flat(3.0), 2, 30, keyframes=True)
@@ -267,7 +268,7 @@ def seen_in_corridor(turn: int):
 def walk(config: DenseMapperConfig, n: int, every: int = 1) -> tuple[DenseMapper, float]:
     """Map the corridor; return the most memory that was held [MB]."""
     poses = np.array([corridor(k * every) for k in range(n)])
-    mapper = config.build(CAMERA, PosedKeyframes(poses))
+    mapper = config.build(parts(CAMERA, PosedKeyframes(poses)))
     most = 0
     for k in range(n):
         mapper.integrate(k, seen_in_corridor(k * every % N_TURNS))
@@ -322,7 +323,7 @@ def test_a_swap_folder_that_takes_nothing_costs_corrections_and_memory_but_no_ma
 
 def test_the_same_input_gives_the_same_bytes() -> None:
     def run() -> DenseCloud:
-        mapper = FULL.build(CAMERA, PosedKeyframes(in_a_box(12)))
+        mapper = FULL.build(parts(CAMERA, PosedKeyframes(in_a_box(12))))
         for k, T_world_cam in enumerate(in_a_box(12)):
             moving = np.zeros((CAMERA.height, CAMERA.width), dtype=np.bool_)
             moving[20:60, 10 * k : 10 * k + 30] = True
@@ -337,7 +338,7 @@ def test_the_same_input_gives_the_same_bytes() -> None:
 
 def test_an_empty_map_has_an_empty_cloud() -> None:
     for config in (FULL, PLAIN):
-        mapper = config.build(CAMERA, still())
+        mapper = config.build(parts(CAMERA, still()))
         mapper.refresh()
         mapper.carve(image(flat(2.0)), pose())
         cloud = mapper.cloud()
@@ -347,7 +348,7 @@ def test_an_empty_map_has_an_empty_cloud() -> None:
 
 @pytest.mark.parametrize("depth", [0.0, np.nan, np.inf, -1.0])
 def test_images_without_depth_add_nothing_and_harm_nothing(depth: float) -> None:
-    mapper = FULL.build(CAMERA, still())
+    mapper = FULL.build(parts(CAMERA, still()))
     mapper.integrate(0, image(flat(2.0)))
     before = sums(mapper)
     mapper.integrate(1, image(flat(depth)))
@@ -357,7 +358,7 @@ def test_images_without_depth_add_nothing_and_harm_nothing(depth: float) -> None
 
 
 def test_an_image_that_moves_all_over_adds_nothing() -> None:
-    mapper = FULL.build(CAMERA, still())
+    mapper = FULL.build(parts(CAMERA, still()))
     mapper.integrate(0, image(flat(2.0)), np.ones((CAMERA.height, CAMERA.width), dtype=np.bool_))
     assert len(mapper.cloud()) == 0
 
@@ -366,7 +367,7 @@ def test_an_image_that_moves_all_over_adds_nothing() -> None:
 @pytest.mark.parametrize("where", [np.nan, np.inf, 1e9])
 def test_impossible_poses_are_passed_over(where: float) -> None:
     world = still(4)
-    mapper = FULL.build(CAMERA, world)
+    mapper = FULL.build(parts(CAMERA, world))
     mapper.integrate(0, image(flat(2.0)))
     before = sums(mapper)
     world.keyframes.T_world_cam[1, 0, 3] = where
@@ -393,4 +394,4 @@ def test_impossible_poses_are_passed_over(where: float) -> None:
 )
 def test_impossible_values_are_named(config: DenseMapperConfig, key: str) -> None:
     with pytest.raises(ConfigError, match=f"dense.{key} is "):
-        config.build(CAMERA, still(1))
+        config.build(parts(CAMERA, still(1)))

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from building import parts
 from posed_keyframes import PosedKeyframes
 from true_surfaces import STILL, share_in, surface
 
@@ -55,7 +56,7 @@ class Walk:
         drift_m[:n_drifting, 2] = np.linspace(0.0, DRIFT_M, n_drifting)
         world = PosedKeyframes(true)
         world.keyframes.T_world_cam[: len(true), :3, 3] += drift_m
-        mapper = self.config.build(self.room.camera, world)
+        mapper = self.config.build(parts(self.room.camera, world))
         for index in range(len(self.room)):
             keyframe = index // every
             if index == n_drifting * every:

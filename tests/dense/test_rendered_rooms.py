@@ -5,6 +5,7 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
+from building import parts
 from posed_keyframes import PosedKeyframes
 from true_surfaces import FIGURES, REACH_M, STILL, THINGS, distances_m, share_in, surface, times_looked_through
 
@@ -39,7 +40,7 @@ class Filmed:
 
     def map(self, config: DenseMapperConfig, masks_from_s: float = 0.0) -> DenseCloud:
         """Map it, each frame a keyframe. Before a time, nothing is known to move."""
-        mapper = config.build(self.room.camera, PosedKeyframes(np.array([t.T_world_cam for t in self.truths])))
+        mapper = config.build(parts(self.room.camera, PosedKeyframes(np.array([t.T_world_cam for t in self.truths]))))
         for k, (image, truth) in enumerate(zip(self.images, self.truths, strict=True)):
             mapper.integrate(k, image, truth.moving if image.timestamp_s >= masks_from_s else None)
         return mapper.cloud()

@@ -49,7 +49,7 @@ class Awkward:
 
 def test_while_relocalizing_the_sieve_is_not_asked_and_nothing_is_awaited() -> None:
     sieve = Rude()
-    motion = Asking(sieve).judge(replace(QUESTION, stage=Stage.RELOCALIZATION, semantics=Awkward()))
+    motion = Asking(sieve, SMALL.map).judge(replace(QUESTION, stage=Stage.RELOCALIZATION, semantics=Awkward()))
     assert motion.is_static.all()
     assert not motion.moving.any()
     assert not sieve.events
@@ -60,7 +60,7 @@ def test_a_verdict_that_leaves_too_little_is_not_heard(stage: Stage) -> None:
     n = len(FRAME)
     assert n > 100
     for stay, heard in ((n // 2, True), (3, False)):
-        motion = Asking(Rude(stay)).judge(replace(QUESTION, stage=stage))
+        motion = Asking(Rude(stay), SMALL.map).judge(replace(QUESTION, stage=stage))
         assert motion.is_static.all() == (not heard)
         assert motion.moving.any() == heard
 
@@ -68,7 +68,7 @@ def test_a_verdict_that_leaves_too_little_is_not_heard(stage: Stage) -> None:
 def test_corrections_of_the_map_reach_the_memory_once_and_before_the_next_question() -> None:
     sieve, jump = Rude(len(FRAME)), se3.exp(np.array([0.3, 0.0, 0.1, 0.0, 0.2, 0.0]))
     small = SmallMap.of(SmallWorld.of(0), [pose()])
-    asking, question = Asking(sieve), replace(QUESTION, world=small.map, stage=Stage.MOTION_MODEL)
+    asking, question = Asking(sieve, small.map), replace(QUESTION, world=small.map, stage=Stage.MOTION_MODEL)
     small.map.jumps.append(pose(9.0))  # before this sieve was ever asked: nothing here remembers it
     asking.judge(question)
     small.map.jumps.extend((jump, jump))
@@ -84,9 +84,9 @@ def test_a_sieve_without_a_memory_needs_no_word_of_one() -> None:
         def judge(self, question: Question) -> Motion:
             return question.nothing_moves()
 
-    asking = Asking(Plain())
+    asking = Asking(Plain(), SMALL.map)
     asking.judge(QUESTION)
-    asking.remember(FRAME, np.eye(4), 3, SMALL.map)
+    asking.remember(FRAME, np.eye(4), 3)
 
 
 def test_what_was_worked_out_holds_for_the_image_and_for_poses_that_are_near() -> None:

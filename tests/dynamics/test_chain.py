@@ -36,7 +36,7 @@ def asked_of(matches: Matches, known: Semantics | None = None) -> Question:
 
 
 def judged(*sieves: Fixed, matches: Matches = MATCHES) -> Motion:
-    chain = Chain(sieves)
+    chain = Chain(sieves, SMALL.map)
     return chain.judge(asked_of(matches))
 
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from building import parts
 from flat_wall import WALL_M, before_the_wall, points_on_the_wall
 from small_world import CAMERA, SmallWorld, pose
 
@@ -193,7 +194,7 @@ def walk() -> Dataset:
 
 def test_on_rendered_frames_the_room_agrees_and_who_walked_in_stands_where_it_was_empty(walk: Dataset) -> None:
     assert walk.groundtruth is not None
-    T_world_cam, extract = walk.groundtruth.T_world_cam, OrbConfig().build(walk.camera, 0).extract
+    T_world_cam, extract = walk.groundtruth.T_world_cam, OrbConfig().build(parts(walk.camera)).extract
     history = DepthHistory(DepthHistoryConfig())
     for index in range(14):
         history.remember(extract(walk.load(index)), se3.inverse(T_world_cam[index]))

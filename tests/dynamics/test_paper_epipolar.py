@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 from asked import ask
+from building import parts
 from flat_wall import in_box
 from small_world import CAMERA, SCALES, SmallWorld, no_semantics, pose
 
@@ -49,7 +50,7 @@ class Pair:
         matches: Matches | None = None,
         semantics: Semantics = CROWD,
     ) -> Motion:
-        sieve = sieve or PaperEpipolarConfig().build()
+        sieve = sieve or PaperEpipolarConfig().build(parts())
         matches = matches or self.matches
         return ask(sieve, stage, self.frame, matches, Done(semantics), np.eye(4), Map(SCALES))
 
@@ -145,7 +146,7 @@ def test_what_is_not_matched_is_not_judged() -> None:
 
 
 def test_what_the_first_stage_removed_stays_removed_in_this_frame_only() -> None:
-    sieve, moved = PaperEpipolarConfig().build(), PAIR.moved(MOVED, 6.0)
+    sieve, moved = PaperEpipolarConfig().build(parts()), PAIR.moved(MOVED, 6.0)
     np.testing.assert_array_equal(moved.ask(Stage.MOTION_MODEL, sieve).is_static, expected(MOVED))
     unknown = replace(PAIR.matches, reference_px=np.full_like(PAIR.matches.reference_px, np.nan))
     np.testing.assert_array_equal(moved.ask(Stage.LOCAL_MAP, sieve, unknown).is_static, expected(MOVED))
@@ -155,7 +156,7 @@ def test_what_the_first_stage_removed_stays_removed_in_this_frame_only() -> None
 
 
 def test_a_verdict_given_is_not_changed_by_the_next_stage() -> None:
-    sieve = PaperEpipolarConfig().build()
+    sieve = PaperEpipolarConfig().build(parts())
     first = PAIR.ask(Stage.MOTION_MODEL, sieve)
     PAIR.moved(MOVED, 6.0).ask(Stage.REFERENCE_KEYFRAME, sieve)
     assert first.is_static.all()

@@ -25,7 +25,7 @@ def judged(semantics: Semantics, keypoints: np.ndarray | None = None, stage: Sta
     chosen = np.arange(len(FRAME)) if keypoints is None else keypoints
     ids = np.full(len(FRAME), -1, np.int32)
     ids[chosen] = np.arange(len(chosen))
-    sieve = WholeBoxesConfig().build(seed=0)
+    sieve = WholeBoxesConfig().build()
     return ask(sieve, stage, FRAME, Matches.of(ids), Done(semantics), np.eye(4), Map(SCALES))
 
 

@@ -26,18 +26,18 @@ def ask(
     world: Map,
 ) -> Motion:
     """Put a question to a sieve, which is led by the same `Asking` every time."""
-    motion = _led(sieve).judge(Question(stage, frame, matches, semantics, T_cam_world, world))
+    motion = _led(sieve, world).judge(Question(stage, frame, matches, semantics, T_cam_world, world))
     if stage is Stage.LOCAL_MAP:
-        _led(sieve).remember(frame, T_cam_world, -1, world)
+        _led(sieve, world).remember(frame, T_cam_world, -1)
     return motion
 
 
 def remember(sieve: MatchSieve, frame: Frame, T_cam_world: np.ndarray, keyframe: int, world: Map) -> None:
     """Let a sieve remember a frame that became a keyframe."""
-    _led(sieve).remember(frame, T_cam_world, keyframe, world)
+    _led(sieve, world).remember(frame, T_cam_world, keyframe)
 
 
-def _led(sieve: MatchSieve) -> Asking:
+def _led(sieve: MatchSieve, world: Map) -> Asking:
     if sieve not in _LED:
-        _LED[sieve] = Asking(sieve)
+        _LED[sieve] = Asking(sieve, world)
     return _LED[sieve]

@@ -5,6 +5,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from building import parts
 
 from stillroom.data.image import RgbdImage
 from stillroom.datasets.open import open_dataset
@@ -38,7 +39,7 @@ def test_a_spot_is_found_where_it_was_drawn_on_every_level() -> None:
     # FAST answers at the pixel nearest to the middle of a spot that is small on its level.
     rng = np.random.default_rng(3)
     grid = np.stack(np.meshgrid(np.arange(90, 560, 45), np.arange(90, 400, 45)), axis=-1).reshape(-1, 2)
-    extractor = OrbConfig(n_features=4000).build(IDEAL)
+    extractor = OrbConfig(n_features=4000).build(parts(IDEAL))
     for octave in range(8):
         scale = 1.2**octave
         places = grid + rng.uniform(-4, 4, grid.shape)
@@ -55,7 +56,7 @@ def test_a_spot_is_found_where_it_was_drawn_on_every_level() -> None:
 
 
 def test_positions_are_where_a_resize_puts_pixel_centres() -> None:
-    frame = OrbConfig().build(IDEAL).extract(image_of(textured()))
+    frame = OrbConfig().build(parts(IDEAL)).extract(image_of(textured()))
     for octave in range(8):
         width, height = round(640 / 1.2**octave), round(480 / 1.2**octave)
         raw = frame.keypoints.raw_px[frame.keypoints.octave == octave].astype(float)
@@ -66,7 +67,7 @@ def test_positions_are_where_a_resize_puts_pixel_centres() -> None:
 
 @pytest.mark.parametrize("n_features", [300, 1000, 2000])
 def test_a_textured_image_gives_what_was_asked_for_on_all_levels(n_features: int) -> None:
-    frame = OrbConfig(n_features=n_features).build(IDEAL).extract(image_of(textured()))
+    frame = OrbConfig(n_features=n_features).build(parts(IDEAL)).extract(image_of(textured()))
     assert abs(len(frame) - n_features) <= 8
     counts = np.bincount(frame.keypoints.octave, minlength=8)
     np.testing.assert_allclose(counts[1:] / counts[:-1], 1 / 1.2, atol=0.04)
@@ -77,7 +78,7 @@ def test_a_textured_image_gives_what_was_asked_for_on_all_levels(n_features: int
 
 @pytest.mark.parametrize("gray", [np.zeros((480, 640), np.uint8), np.full((480, 640), 200, np.uint8)])
 def test_an_image_without_texture_has_no_keypoints(gray: np.ndarray) -> None:
-    frame = OrbConfig().build(CAMERA).extract(image_of(gray))
+    frame = OrbConfig().build(parts(CAMERA)).extract(image_of(gray))
     assert len(frame) == 0
     kp = frame.keypoints
     assert kp.px.shape == kp.raw_px.shape == (0, 2)
@@ -87,8 +88,8 @@ def test_an_image_without_texture_has_no_keypoints(gray: np.ndarray) -> None:
 
 def test_weak_corners_serve_where_there_are_few_strong_ones() -> None:
     faint = (100 + 0.12 * textured().astype(float)).astype(np.uint8)
-    few = OrbConfig(weak_score=12).build(IDEAL).extract(image_of(faint))
-    more = OrbConfig().build(IDEAL).extract(image_of(faint))
+    few = OrbConfig(weak_score=12).build(parts(IDEAL)).extract(image_of(faint))
+    more = OrbConfig().build(parts(IDEAL)).extract(image_of(faint))
     assert len(more) > 2 * len(few)
 
 
@@ -96,7 +97,7 @@ def test_depth_and_right_coordinate_come_from_the_pixel_as_taken() -> None:
     rng = np.random.default_rng(1)
     depth_m = rng.uniform(0.5, 5.0, (480, 640)).astype(np.float32)
     depth_m[rng.random((480, 640)) < 0.3] = 0.0
-    frame = OrbConfig().build(CAMERA).extract(image_of(textured(), depth_m))
+    frame = OrbConfig().build(parts(CAMERA)).extract(image_of(textured(), depth_m))
     kp = frame.keypoints
     column, row = np.rint(kp.raw_px).astype(int).T
     np.testing.assert_array_equal(kp.depth_m, depth_m[row, column])
@@ -113,7 +114,7 @@ def test_depth_and_right_coordinate_come_from_the_pixel_as_taken() -> None:
 
 @pytest.mark.parametrize("depth_m", [0.0, 0.05, 25.0, np.nan, np.inf, -1.0])
 def test_unusable_depth_is_unknown_depth(depth_m: float) -> None:
-    keypoints = OrbConfig().build(IDEAL).extract(image_of(textured(), depth_m)).keypoints
+    keypoints = OrbConfig().build(parts(IDEAL)).extract(image_of(textured(), depth_m)).keypoints
     assert len(keypoints) > 900
     np.testing.assert_array_equal(keypoints.depth_m, 0)
     np.testing.assert_array_equal(keypoints.right_px, -1)
@@ -121,17 +122,17 @@ def test_unusable_depth_is_unknown_depth(depth_m: float) -> None:
 
 def test_the_same_image_and_seed_give_the_same_frame_to_the_bit() -> None:
     image = image_of((textured() // 8) * 8)
-    first, again = (OrbConfig().build(IDEAL, seed=4).extract(image).keypoints for _ in range(2))
+    first, again = (OrbConfig().build(parts(IDEAL, seed=4)).extract(image).keypoints for _ in range(2))
     for name in first.__dataclass_fields__:
         np.testing.assert_array_equal(getattr(first, name), getattr(again, name))
-    other = OrbConfig().build(IDEAL, seed=5).extract(image).keypoints
+    other = OrbConfig().build(parts(IDEAL, seed=5)).extract(image).keypoints
     assert not np.array_equal(first.raw_px, other.raw_px)
 
 
 def test_a_turned_real_image_is_matched_with_itself(freiburg1: Path) -> None:
     # What descriptors are for: a half turn of the image leaves the nearest neighbours what they were.
     gray = open_dataset(str(freiburg1)).load(0).gray
-    extractor = OrbConfig().build(IDEAL)
+    extractor = OrbConfig().build(parts(IDEAL))
     upright = extractor.extract(image_of(gray)).keypoints
     turned = extractor.extract(image_of(np.ascontiguousarray(gray[::-1, ::-1]))).keypoints
     matches = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True).match(upright.descriptors, turned.descriptors)

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from building import parts
 from map_checks import check_links, check_same, contents
 from ring_map import vocabulary_of
 from small_world import CAMERA, SmallMap, SmallWorld, pose
@@ -31,7 +32,9 @@ class Pieces:
     followed: list[int]
 
     def joiner(self, **changes: Any) -> SubmapJoiner:
-        return JoiningConfig(**changes).build(CAMERA, self.map, self.places, after=(lambda: self.followed.append(1),))
+        return JoiningConfig(**changes).build(
+            parts(CAMERA, self.map), self.places, after=(lambda: self.followed.append(1),)
+        )
 
     def errors(self) -> tuple[float, float]:
         """Largest errors of the second piece's keyframes in the coordinates of the first [m, rad]."""

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from building import parts
 from map_checks import check_links, check_same, contents
 from ring_map import Ring, ring
 from small_world import CAMERA
@@ -17,7 +18,7 @@ from stillroom.loops.recognition.verification import Loop, Verifier
 
 
 def closer_of(made: Ring, **changes: Any) -> LoopCloser:
-    closing = LoopsConfig(**changes).build(CAMERA, made.map, made.places)
+    closing = LoopsConfig(**changes).build(parts(CAMERA, made.map), made.places)
     assert isinstance(closing, LoopCloser)
     return closing
 
@@ -43,7 +44,7 @@ def closed() -> Closed:
     made = ring()
     followed: list[float] = []
     closer = LoopsConfig().build(
-        CAMERA, made.map, made.places, after=(lambda: followed.append(made.errors_m().mean()),)
+        parts(CAMERA, made.map), made.places, after=(lambda: followed.append(made.errors_m().mean()),)
     )
     assert isinstance(closer, LoopCloser)
     poses, errors_m = made.map.keyframes.T_world_cam.copy(), made.errors_m()
@@ -142,10 +143,10 @@ def test_a_wrong_loop_is_undone_to_the_last_bit(keyframe: int, candidate: int) -
 def test_impossible_values_are_named(config: LoopsConfig, named: str) -> None:
     made = ring(n=4, laps=0.05)
     with pytest.raises(ConfigError, match=named):
-        config.build(CAMERA, made.map, made.places)
+        config.build(parts(CAMERA, made.map), made.places)
 
 
 def test_switched_off_nothing_is_closed() -> None:
     made = ring(n=20, laps=0.3)
-    assert isinstance(LoopsConfig(enabled=False).build(CAMERA, made.map, made.places), NoLoops)
+    assert isinstance(LoopsConfig(enabled=False).build(parts(CAMERA, made.map), made.places), NoLoops)
     assert not NoLoops().close(3)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from building import parts
 from small_world import CAMERA, SCALES, SmallWorld, pose
 
 from stillroom.data.map import Map
@@ -28,7 +29,7 @@ def walked(
     """
     rng = np.random.default_rng(0)
     world = Map(SCALES)
-    mapper = config.build(CAMERA, world)
+    mapper = config.build(parts(CAMERA, world))
     seen: list[np.ndarray] = []
     id_of = np.full(len(WORLD.points_m), -1, np.int32)
     for k, T_world_cam in enumerate(PATH):
@@ -91,14 +92,14 @@ def test_the_sieve_before_tracking_counts_as_well() -> None:
     tracked = Tracked(
         frame, TrackingState.OK, pose(), np.full(len(frame), -1, np.int32), Motion.none(len(frame), 480, 640)
     )
-    LocalMapperConfig().build(CAMERA, world).insert(tracked)
+    LocalMapperConfig().build(parts(CAMERA, world)).insert(tracked)
     np.testing.assert_array_equal(world.keypoints.is_static, frame.is_static)
     assert (world.points_of(0)[::2] == -1).all()
 
 
 def test_points_that_no_later_keyframe_sees_leave_the_map() -> None:
     world = Map(SCALES)
-    mapper = LocalMapperConfig(cull_keyframes=False).build(CAMERA, world)
+    mapper = LocalMapperConfig(cull_keyframes=False).build(parts(CAMERA, world))
     known = np.full(len(WORLD.points_m), -1, np.int32)
     ghosts: np.ndarray = np.zeros(0, int)
     for k in range(11):
@@ -152,5 +153,5 @@ def test_a_map_that_was_only_looked_at_stays_as_it_is() -> None:
     world, _, _ = walked(LocalMapperConfig(cull_keyframes=False))
     world.keyframes.T_world_cam[2] = PATH[2] @ se3.exp(np.full(6, 0.004))
     before = world.keyframes.T_world_cam.copy()
-    LocalMapperConfig().build(CAMERA, world).finish()
+    LocalMapperConfig().build(parts(CAMERA, world)).finish()
     np.testing.assert_array_equal(world.keyframes.T_world_cam, before)

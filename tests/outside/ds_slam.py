@@ -17,6 +17,7 @@ from stillroom.data.semantics import Semantics, union_of
 from stillroom.dynamics.asking import ImageMemory
 from stillroom.geometry.epipolar import line_distances_px
 from stillroom.methods.method import Method
+from stillroom.protocols import Parts
 from stillroom.semantics.masks.pspnet import PspNetConfig
 
 
@@ -27,13 +28,13 @@ class DsSlamConfig:
     line_px: float = 1.0
     min_moving: int = 3
 
-    def build(self, seed: int = 0) -> "DsSlam":
+    def build(self, parts: Parts) -> "DsSlam":
         """Return the sieve."""
-        return DsSlam(self, seed)
+        return DsSlam(self, parts.seed)
 
 
 class DsSlam:
-    """Sieve 2: optical flow from the last image, a fundamental matrix by RANSAC, and the objects that do not obey it."""
+    """Sieve 2: optical flow from the last image, F by RANSAC, and the objects on which points do not obey it."""
 
     def __init__(self, config: DsSlamConfig, seed: int) -> None:
         self.config, self.usac = config, cv2.UsacParams()

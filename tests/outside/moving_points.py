@@ -15,6 +15,7 @@ from stillroom.data.map import Map
 from stillroom.data.motion import Motion
 from stillroom.data.question import Question
 from stillroom.methods.method import Method
+from stillroom.protocols import Parts
 from stillroom.semantics.masks.pspnet import PspNetConfig
 
 COLUMN = "p_moving"
@@ -27,28 +28,27 @@ class MovingPointsConfig:
     gain: float = 0.3
     moves_above: float = 0.5
 
-    def build(self, seed: int = 0) -> "MovingPoints":
+    def build(self, parts: Parts) -> "MovingPoints":
         """Return the sieve."""
-        return MovingPoints(self)
+        return MovingPoints(self, parts.world)
 
 
 class MovingPoints:
     """Sieve 2: a match moves when its point probably does; a keypoint without a point, when a mask covers it."""
 
-    def __init__(self, config: MovingPointsConfig) -> None:
-        self.config = config
-        self.world: Map | None = None
+    def __init__(self, config: MovingPointsConfig, world: Map) -> None:
+        self.config, self.world = config, world
+        world.points.add_column(COLUMN, np.float32)
 
     def judge(self, question: Question) -> Motion:
-        self.world, self.masked, matches = question.world, question.may_move, question.matches
-        self.world.points.add_column(COLUMN, np.float32)
+        self.masked, matches = question.may_move, question.matches
         before = self.world.points.column(COLUMN)[matches.point_id]
         p_moving = self.masked.astype(np.float32)
         p_moving[matches.keypoint] = (1 - self.config.gain) * before + self.config.gain * self.masked[matches.keypoint]
         return Motion(p_moving <= self.config.moves_above, question.known.movable, 1.0 - p_moving)
 
     def remember(self, frame: Frame, T_cam_world: np.ndarray, keyframe: int) -> None:
-        if keyframe < 0 or self.world is None:
+        if keyframe < 0:
             return
         p_moving, point = self.world.points.column(COLUMN), self.world.points_of(keyframe)
         seen = point >= 0

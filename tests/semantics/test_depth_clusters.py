@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from building import parts
 
 from stillroom.data.cloud.clusters import PLANE, UNKNOWN, Clusters
 from stillroom.data.image import RgbdImage
@@ -74,7 +75,7 @@ def check_consistent(clusters: Clusters, n_boxes: int) -> None:
 )
 def test_clusters_of_true_boxes_cover_the_figures(spec: str, frames: range, mean_iou: float) -> None:
     room = open_synthetic(spec)
-    clusterer = DepthClustersConfig().build(room.camera, seed=0)
+    clusterer = DepthClustersConfig().build(parts(room.camera, seed=0))
     scores, n_plane, n_truth = [], 0, 0
     for index in frames:
         image = room.load(index)
@@ -98,7 +99,7 @@ def test_clusters_of_true_boxes_cover_the_figures(spec: str, frames: range, mean
 @pytest.mark.parametrize("figures", ["walking", "carried"])
 def test_without_boxes_figures_are_cut_up_but_never_fused(figures: str) -> None:
     room = open_synthetic(f"synthetic:{figures}")
-    clusterer = DepthClustersConfig().build(room.camera, seed=0)
+    clusterer = DepthClustersConfig().build(parts(room.camera, seed=0))
     scores = []
     for index in range(60, 270, 20):
         image = room.load(index)
@@ -120,7 +121,7 @@ def test_without_boxes_figures_are_cut_up_but_never_fused(figures: str) -> None:
 
 def test_empty_rooms_have_no_cluster_with_a_box() -> None:
     room = open_synthetic("synthetic:empty")
-    clusters = clusters_of(DepthClustersConfig().build(room.camera, seed=0), room.load(40))
+    clusters = clusters_of(DepthClustersConfig().build(parts(room.camera, seed=0)), room.load(40))
     assert len(clusters) > 3  # furniture
     assert (clusters.box == -1).all()
     assert (clusters.labels == PLANE).mean() > 0.4
@@ -150,7 +151,7 @@ def at_a_table(noise_seed: int) -> tuple[RgbdImage, Bool, Bool, Box]:
 @pytest.mark.parametrize("noise_seed", [0, 1])
 def test_with_his_box_a_person_does_not_fuse_with_the_table_he_leans_on(noise_seed: int) -> None:
     image, figure, table, box = at_a_table(noise_seed)
-    clusterer = DepthClustersConfig().build(CAMERA, seed=0)
+    clusterer = DepthClustersConfig().build(parts(CAMERA, seed=0))
     plain = clusters_of(clusterer, image)
     both = plain.labels[np.nonzero(figure)[0][::50], np.nonzero(figure)[1][::50]]
     fused = np.bincount(both[both >= 0]).argmax()
@@ -173,7 +174,7 @@ def test_a_hand_beyond_the_box_is_given_back() -> None:
     depth[100:400, 250:350] = 2.0
     depth[200:230, 350:375] = 2.0  # the hand
     box = person_box(245, 95, 352, 405)
-    clusters = clusters_of(DepthClustersConfig().build(CAMERA, seed=0), image_of(depth), (box,))
+    clusters = clusters_of(DepthClustersConfig().build(parts(CAMERA, seed=0)), image_of(depth), (box,))
     assert len(clusters) == 1
     assert clusters.box.tolist() == [0]
     assert iou(clusters.labels == 0, depth == 2.0) > 0.98
@@ -185,7 +186,7 @@ def test_of_two_people_behind_each_other_each_has_his_box() -> None:
     depth[60:480, 230:350] = 1.8
     behind, before = person_box(298, 98, 422, 462), person_box(228, 58, 352, 479)
     for boxes, (far, near) in (((behind, before), (0, 1)), ((before, behind), (1, 0))):
-        clusters = clusters_of(DepthClustersConfig().build(CAMERA, seed=0), image_of(depth), boxes)
+        clusters = clusters_of(DepthClustersConfig().build(parts(CAMERA, seed=0)), image_of(depth), boxes)
         assert set(clusters.box[clusters.labels[depth == 1.8]]) == {near}
         assert set(clusters.box[clusters.labels[300, 360:415]]) == {far}
 
@@ -208,7 +209,7 @@ MARKED = {
 @pytest.mark.parametrize("frame", MARKED)
 def test_people_in_real_frames_are_clusters_of_their_own(bonn: Path, frame: int) -> None:
     sequence = open_dataset(str(bonn))
-    clusters = clusters_of(DepthClustersConfig().build(sequence.camera, seed=0), sequence.load(frame))
+    clusters = clusters_of(DepthClustersConfig().build(parts(sequence.camera, seed=0)), sequence.load(frame))
     check_consistent(clusters, 0)
     people, still = MARKED[frame]
     labels = [set(clusters.labels_at(np.array(person, dtype=np.float64)).tolist()) for person in people]
@@ -229,7 +230,7 @@ def test_boxes_of_the_detector_name_the_people_of_real_frames(
     monkeypatch.setenv("STILLROOM_MODELS", str(yolo_weights.parent))
     sequence = open_dataset(str(bonn))
     detect = YoloFastestConfig().build()
-    clusterer = DepthClustersConfig().build(sequence.camera, seed=0)
+    clusterer = DepthClustersConfig().build(parts(sequence.camera, seed=0))
     named = total = 0
     for frame in (300, 340, 380, 460, 520, 540):
         for index in range(frame - 6, frame + 1):  # boxes are carried over the frames that the detector misses
@@ -262,7 +263,9 @@ def _holds(box: Box, px: np.ndarray) -> bool:
 @pytest.mark.parametrize("value", [0.0, np.nan, np.inf, -np.inf, -3.0, 50.0])
 def test_images_without_depth_have_no_clusters(value: float) -> None:
     boxes = (person_box(100, 100, 300, 400),)
-    clusters = clusters_of(DepthClustersConfig().build(CAMERA, seed=0), image_of(np.full((480, 640), value)), boxes)
+    clusters = clusters_of(
+        DepthClustersConfig().build(parts(CAMERA, seed=0)), image_of(np.full((480, 640), value)), boxes
+    )
     assert len(clusters) == 0
     assert (clusters.labels == UNKNOWN).all()
     check_consistent(clusters, 1)
@@ -274,7 +277,7 @@ def test_specks_of_bad_depth_change_nothing_around_them() -> None:
     spoilt = depth.copy()
     spots = np.random.default_rng(0).random(depth.shape) < 0.05
     spoilt[spots] = np.random.default_rng(1).choice([np.nan, np.inf, -np.inf, -1.0, 0.0], size=int(spots.sum()))
-    clusterer = DepthClustersConfig().build(CAMERA, seed=0)
+    clusterer = DepthClustersConfig().build(parts(CAMERA, seed=0))
     good, bad = clusters_of(clusterer, image_of(depth)), clusters_of(clusterer, image_of(spoilt))
     assert len(good) == len(bad) == 1
     assert (bad.labels[spots] == UNKNOWN).all()
@@ -285,7 +288,7 @@ def test_specks_of_bad_depth_change_nothing_around_them() -> None:
 def test_tiny_images_pass(shape: tuple[int, int]) -> None:
     height, width = shape
     camera = Camera(width, height, 20.0, 20.0, width / 2, height / 2)
-    clusters = clusters_of(DepthClustersConfig().build(camera, seed=0), image_of(np.full(shape, 2.0)))
+    clusters = clusters_of(DepthClustersConfig().build(parts(camera, seed=0)), image_of(np.full(shape, 2.0)))
     assert clusters.labels.shape == shape
     check_consistent(clusters, 0)
 
@@ -303,7 +306,7 @@ def test_tiny_images_pass(shape: tuple[int, int]) -> None:
 def test_odd_boxes_pass(box: Box) -> None:
     depth = np.full((480, 640), 3.6)
     depth[100:400, 250:350] = 2.0
-    clusters = clusters_of(DepthClustersConfig().build(CAMERA, seed=0), image_of(depth), (box,))
+    clusters = clusters_of(DepthClustersConfig().build(parts(CAMERA, seed=0)), image_of(depth), (box,))
     check_consistent(clusters, 1)
     assert len(clusters) == 1
     assert iou(clusters.labels == 0, depth == 2.0) > 0.98
@@ -312,9 +315,9 @@ def test_odd_boxes_pass(box: Box) -> None:
 def test_the_same_image_gives_the_same_clusters_and_leaves_the_input_alone() -> None:
     image, _, _, box = at_a_table(3)
     before = image.depth_m.copy()
-    clusterer = DepthClustersConfig().build(CAMERA, seed=0)
+    clusterer = DepthClustersConfig().build(parts(CAMERA, seed=0))
     first, second = clusters_of(clusterer, image, (box,)), clusters_of(clusterer, image, (box,))
-    other = clusters_of(DepthClustersConfig().build(CAMERA, seed=7), image, (box,))
+    other = clusters_of(DepthClustersConfig().build(parts(CAMERA, seed=7)), image, (box,))
     for again in (second, other):
         np.testing.assert_array_equal(first.labels, again.labels)
         assert first.centroid_m.tobytes() == again.centroid_m.tobytes()
@@ -324,10 +327,10 @@ def test_the_same_image_gives_the_same_clusters_and_leaves_the_input_alone() -> 
 def test_what_was_known_stays_known() -> None:
     known = Semantics(480, 640, (person_box(1, 2, 3, 4),), mask=np.ones((480, 640), np.bool_))
     image = image_of(np.full((480, 640), 2.0))
-    told = DepthClustersConfig().build(CAMERA, seed=0)(image, Done(known))
+    told = DepthClustersConfig().build(parts(CAMERA, seed=0))(image, Done(known))
     assert told.boxes is known.boxes
     assert told.mask is known.mask
-    assert NoClustersConfig().build(CAMERA, seed=0)(image, Done(known)) is known
+    assert NoClustersConfig().build(parts(CAMERA, seed=0))(image, Done(known)) is known
 
 
 @pytest.mark.parametrize(
@@ -344,7 +347,7 @@ def test_what_was_known_stays_known() -> None:
 )
 def test_impossible_values_are_named(config: DepthClustersConfig, key: str) -> None:
     with pytest.raises(ConfigError, match=key):
-        config.build(CAMERA, seed=0)
+        config.build(parts(CAMERA, seed=0))
 
 
 def test_what_a_mask_covers_belongs_to_no_cluster_and_what_is_carried_is_one_of_its_own() -> None:
@@ -359,8 +362,8 @@ def test_what_a_mask_covers_belongs_to_no_cluster_and_what_is_carried_is_one_of_
     mask = body & ~box
     known = Semantics(480, 640, (person_box(260, 120, 420, 479),), mask)
     image = image_of(depth_m)
-    joined = DepthClustersConfig().build(CAMERA, 0)(image, Done(known)).clusters
-    apart = DepthClustersConfig(leave_out_masked=True).build(CAMERA, 0)(image, Done(known)).clusters
+    joined = DepthClustersConfig().build(parts(CAMERA, seed=0))(image, Done(known)).clusters
+    apart = DepthClustersConfig(leave_out_masked=True).build(parts(CAMERA, seed=0))(image, Done(known)).clusters
     assert joined is not None
     assert apart is not None
     carried = joined.labels[260, 400]
@@ -379,7 +382,7 @@ def test_a_named_thing_is_taken_apart_from_what_it_touches() -> None:
     depth_m[near] = (1.5 + 0.004 * np.abs(columns - 310) + 0.003 * np.abs(rows - 310))[near]
     chair = Box(200.0, 200.0, 309.0, 420.0, "chair", 0.8)
     whole, named = (replace(nothing(480, 640), named=boxes) for boxes in ((), (chair,)))
-    clusterer = DepthClustersConfig(leave_out_masked=True, box_half_depth_m=1.0).build(CAMERA, 0)
+    clusterer = DepthClustersConfig(leave_out_masked=True, box_half_depth_m=1.0).build(parts(CAMERA, seed=0))
     one, two = (clusterer(image_of(depth_m), Done(known)).clusters for known in (whole, named))
     assert one is not None
     assert two is not None

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from building import parts
 from small_world import SmallMap, SmallWorld, no_semantics, pose
 
 from stillroom.config import SlamConfig
@@ -49,7 +50,7 @@ def last_of(small: SmallMap) -> Tracked:
 def test_it_finds_the_pose_and_asks_the_sieve_under_it(small: SmallMap) -> None:
     frame, seen = small.world.look(IS, seed=5, index=1)
     sieve = Noting()
-    quick = LowCostConfig().build(sieve)
+    quick = LowCostConfig().build(parts(), sieve)
     T_cam_world = quick.localize(frame, last_of(small), se3.inverse(WAS), no_semantics(), small.map)
     np.testing.assert_allclose(T_cam_world, se3.inverse(IS), atol=1e-4)
     ((stage, index, matches, asked_under),) = sieve.asked
@@ -63,7 +64,7 @@ def test_what_sieve_1_dropped_is_not_used(small: SmallMap) -> None:
     frame, _ = small.world.look(IS, seed=5, index=1)
     masked = frame.keypoints.px[:, 0] < 320
     sieve = Noting()
-    quick = LowCostConfig().build(sieve)
+    quick = LowCostConfig().build(parts(), sieve)
     quick.localize(frame.with_static(~masked), last_of(small), se3.inverse(WAS), no_semantics(), small.map)
     assert len(sieve.asked[0][2]) > 100
     assert not masked[sieve.asked[0][2].keypoint].any()
@@ -77,7 +78,9 @@ def test_people_who_walk_do_not_bend_the_pose_nor_are_they_shown_to_the_sieve(sm
     moved = replace(frame, keypoints=replace(frame.keypoints, px=px, raw_px=px))
     sieve = Noting()
     T_cam_world = (
-        LowCostConfig().build(sieve).localize(moved, last_of(small), se3.inverse(WAS), no_semantics(), small.map)
+        LowCostConfig()
+        .build(parts(), sieve)
+        .localize(moved, last_of(small), se3.inverse(WAS), no_semantics(), small.map)
     )
     np.testing.assert_allclose(T_cam_world, se3.inverse(IS), atol=2e-3)
     matches = sieve.asked[0][2]
@@ -92,7 +95,7 @@ def test_a_poor_guess_is_looked_around_more_widely_and_a_hopeless_one_left_as_it
     frame, _ = small.world.look(IS, seed=5, index=1)
     guess = se3.inverse(pose(away_m) @ IS)
     sieve = Noting()
-    found = LowCostConfig().build(sieve).localize(frame, last_of(small), guess, no_semantics(), small.map)
+    found = LowCostConfig().build(parts(), sieve).localize(frame, last_of(small), guess, no_semantics(), small.map)
     if away_m < 1.0:
         np.testing.assert_allclose(found, se3.inverse(IS), atol=1e-3)
         assert [question[0] for question in sieve.asked] == [Stage.LOW_COST]
@@ -105,7 +108,7 @@ def test_without_it_the_guess_is_the_start(small: SmallMap) -> None:
     frame, _ = small.world.look(IS, seed=5, index=1)
     sieve = Noting()
     guess = se3.inverse(pose(0.01))
-    found = NoLowCostConfig().build(sieve).localize(frame, last_of(small), guess, no_semantics(), small.map)
+    found = NoLowCostConfig().build(parts(), sieve).localize(frame, last_of(small), guess, no_semantics(), small.map)
     assert found is guess
     assert not sieve.asked
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from building import parts
 from ring_map import vocabulary_of
 from small_world import SmallMap, SmallWorld, pose
 
@@ -42,7 +43,7 @@ def look(small: SmallMap, flips: int = 6, world: SmallWorld | None = None) -> tu
 
 
 def recognised(small: SmallMap, places: PlaceMemory, frame: Frame, keyframe: int = 2, **config: float) -> Found | None:
-    recognizer = replace(RecognitionConfig(), **config).build(seed=0)
+    recognizer = replace(RecognitionConfig(), **config).build(parts())
     bag = places.bag_of_frame(frame)
     return recognizer.recognise(frame, bag, keyframe, places.index.nodes(keyframe), small.map)
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
+from building import parts
 from small_world import SCALES, SmallMap, SmallWorld, no_semantics, pose
 
 from stillroom.data.frame import Frame
@@ -41,7 +42,7 @@ def started(sieve: Sieve | None = None, velocity: bool = True, **config: float) 
     """A tracker that has followed the camera through two keyframes (one without velocity)."""
     sieve = sieve or Sieve()
     small = SmallMap.of(WORLD, [np.eye(4), pose(0.02)] if velocity else [np.eye(4)])
-    tracker = TrackerConfig(**config).build(sieve)
+    tracker = TrackerConfig(**config).build(parts(), sieve)
     for k in range(len(small.frames)):
         tracker.remember(small.tracked(k), small.map)
     return tracker, small, sieve
@@ -186,7 +187,7 @@ def test_a_keypoint_that_has_its_point_keeps_it() -> None:
     small.id_of[known[80:]] = -1
     small.add(pose(0.02))
     sieve = Sieve()
-    tracker = TrackerConfig().build(sieve)
+    tracker = TrackerConfig().build(parts(), sieve)
     for T_world_cam in (pose(0.0), pose(0.02)):
         tracker.remember(replace(small.tracked(1), T_world_cam=T_world_cam), small.map)
     tracked = tracker.track(look(pose(0.04))[0], NOBODY, small.map)
@@ -222,7 +223,9 @@ def test_the_first_frame_needs_enough_static_depth(n: int, state: TrackingState)
     is_static = np.arange(len(frame)) >= 30  # 30 taken out by sieve 1, 20 more by sieve 2
     frame = replace(frame, keypoints=replace(frame.keypoints, depth_m=depth_m)).with_static(is_static)
     world = Map(SCALES)
-    tracked = TrackerConfig(min_initial_keypoints=200).build(Sieve(np.arange(30, 50))).track(frame, NOBODY, world)
+    tracked = (
+        TrackerConfig(min_initial_keypoints=200).build(parts(), Sieve(np.arange(30, 50))).track(frame, NOBODY, world)
+    )
     assert tracked.state is state
     assert not tracked.lost
     assert tracked.n_inliers == 0
@@ -248,7 +251,7 @@ def test_the_last_frame_moves_along_with_the_map() -> None:
 
 def test_a_reference_keyframe_that_was_culled_with_its_parent_is_replaced_by_an_ancestor() -> None:
     small = SmallMap.of(WORLD, [pose(0.002 * k) for k in range(4)])
-    tracker = TrackerConfig().build(Sieve())
+    tracker = TrackerConfig().build(parts(), Sieve())
     tracker.remember(small.tracked(3), small.map)
     for k in (3, 2):
         small.map.remove_keyframe(k)

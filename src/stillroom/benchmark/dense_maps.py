@@ -13,7 +13,7 @@ from stillroom.dense.nothing import NoDenseMapConfig
 from stillroom.errors import FrameError
 from stillroom.geometry.arrays import F64
 from stillroom.pipeline import SILENT, Progress
-from stillroom.protocols import Dataset
+from stillroom.protocols import Dataset, Parts
 from stillroom.system import Slam, build
 
 WITH_REMOVAL, WITHOUT_REMOVAL = "with removal", "without"
@@ -58,7 +58,7 @@ def dense_maps(
     slam = build(replace(config, dense=NoDenseMapConfig()), dataset.camera, observer=mapping)
     for name, removal in ((WITH_REMOVAL, True), (WITHOUT_REMOVAL, False)):
         one = replace(dense, carving=replace(dense.carving, removal=removal))
-        mapping.mappers[name] = one.build(dataset.camera, slam.map)
+        mapping.mappers[name] = one.build(Parts(dataset.camera, slam.map))
     progress.start(len(dataset))
     try:
         _track_all(dataset, slam, progress)

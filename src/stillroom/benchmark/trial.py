@@ -17,7 +17,7 @@ from stillroom.evaluation.timing import StageClock
 from stillroom.pipeline import SILENT, Progress, RunOptions, run
 from stillroom.protocols import Dataset, RunObserver, Segmenter
 from stillroom.semantics.detector_off import FrameRange, WithheldSegmenter
-from stillroom.system import Slam
+from stillroom.system import Slam, segmenter_of
 
 
 @dataclass(frozen=True)
@@ -144,7 +144,7 @@ def attempt(
         KeyboardInterrupt: The user stopped it: half a run has no figures to compare.
         StillroomError: Something that the run needs is wrong.
     """
-    segmenter = config.semantics.build()
+    segmenter = segmenter_of(config, dataset.camera)
     noting = NotingSegmenter(WithheldSegmenter(segmenter, withheld) if withheld else segmenter)
     options = RunOptions(root=None, pictures=0, segmenter=noting, observe=observe)
     outcome = run(dataset, replace(config, seed=seed), options, progress)

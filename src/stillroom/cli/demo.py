@@ -16,6 +16,7 @@ from stillroom.errors import WeightsError
 from stillroom.evaluation.report import Evaluation
 from stillroom.evaluation.report_text import percent
 from stillroom.evaluation.statistics import improvement_percent
+from stillroom.geometry.camera import Camera
 from stillroom.methods.registry import configure
 from stillroom.pipeline import RunOptions, RunOutcome, Source, run
 from stillroom.pipeline.plots import draw_plots
@@ -23,6 +24,7 @@ from stillroom.pipeline.results import PICTURES
 from stillroom.protocols import Dataset
 from stillroom.semantics.truth import TruthConfig
 from stillroom.semantics.yolo_fastest import find_folder
+from stillroom.system import segmenter_of
 
 ROOM = "synthetic:walking"
 BASELINE, METHOD = "orb-slam2", "oc-slam"
@@ -48,7 +50,7 @@ def demo(
     source = Source(ROOM, frames=frames)
     dataset = source.open()
     ensure_warm(STDERR, renderer=True)
-    config, detector = _with_detector(configure(METHOD))
+    config, detector = _with_detector(configure(METHOD), dataset.camera)
     print_lines([f"detector: {detector}"])
     bar = FrameBar(STDERR)
     _render(dataset, bar)
@@ -61,10 +63,10 @@ def demo(
     say(f"all in {time.monotonic() - start_s:.0f} s; try the same on your own: stillroom run --help")
 
 
-def _with_detector(config: SlamConfig) -> tuple[SlamConfig, str]:
+def _with_detector(config: SlamConfig, camera: Camera) -> tuple[SlamConfig, str]:
     """Return the config with a detector that is at hand, and which one that is."""
     try:
-        config.semantics.build()
+        segmenter_of(config, camera)
     except WeightsError as error:
         return replace(config, semantics=TruthConfig()), f"the renderer's own boxes, because {error}"
     return config, f"YOLO-Fastest, its weights from {find_folder()}"

@@ -71,10 +71,11 @@ def _paint(chosen: "SlamConfig", source: "Source", wanted: "InpaintingRecorderCo
     from stillroom.cli.warmup import ensure_warm
     from stillroom.pipeline import RunOptions, run
     from stillroom.pipeline.folders import chosen_folder, new_folder
+    from stillroom.system import segmenter_of
 
     show_log()
     dataset = source.open()
-    segmenter = chosen.semantics.build()  # now: what is absent is told before kernels are compiled
+    segmenter = segmenter_of(chosen, dataset.camera)  # now: what is absent is told before kernels are compiled
     folder = chosen_folder(out) if out is not None else new_folder(Path("results"), chosen.method, dataset.name)
     say(f"{chosen.method} on {dataset.name}: {len(dataset)} images; camera: {dataset.camera_source}")
     ensure_warm(STDERR, source.sequence.startswith(SYNTHETIC))

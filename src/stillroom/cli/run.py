@@ -127,6 +127,7 @@ def _track(
     from stillroom.pipeline import run as run_pipeline
     from stillroom.pipeline.folders import chosen_folder
     from stillroom.pipeline.options import detector_ranges
+    from stillroom.system import segmenter_of
 
     show_log()
     dataset = source.open()
@@ -134,7 +135,7 @@ def _track(
         folder=chosen_folder(out) if out is not None else None,
         pictures=pictures,
         detector_off=detector_ranges(detector_off, dataset),
-        segmenter=chosen.semantics.build(),  # now: what is absent is told before kernels are compiled
+        segmenter=segmenter_of(chosen, dataset.camera),  # now: what is absent is told before kernels are compiled
         source=source,
         asked={"schedule": schedule.value, **(map_file.described() if map_file else {})},
         map=map_file,

@@ -10,7 +10,6 @@ from dataclasses import dataclass, field
 from difflib import get_close_matches
 from typing import Any, Protocol
 
-from stillroom.data.map import Map
 from stillroom.dense.dense_mapper import DenseMapperConfig
 from stillroom.dense.nothing import NoDenseMapConfig
 from stillroom.dynamics.chain import Chain
@@ -25,8 +24,7 @@ from stillroom.dynamics.paper_epipolar import PaperEpipolarConfig
 from stillroom.dynamics.segments.sieve import MovedSegmentsConfig
 from stillroom.dynamics.whole_boxes import WholeBoxesConfig
 from stillroom.errors import ConfigError
-from stillroom.geometry.camera import Camera
-from stillroom.protocols import Clusterer, DenseMapping, KeypointSieve, MatchSieve, QuickTracking, Segmenter, Timing
+from stillroom.protocols import Clusterer, DenseMapping, KeypointSieve, MatchSieve, Parts, QuickTracking, Segmenter
 from stillroom.semantics.depth_clusters import DepthClustersConfig, NoClustersConfig
 from stillroom.semantics.mask_files import MaskFilesConfig
 from stillroom.semantics.masks.onnx_masks import OnnxMasksConfig
@@ -44,42 +42,42 @@ KIND = "kind"
 class SegmenterConfig(Protocol):
     """The config of a part that says what may move; a frozen dataclass."""
 
-    def build(self) -> Segmenter:
+    def build(self, parts: Parts) -> Segmenter:
         """Return the segmenter."""
 
 
 class ClustererConfig(Protocol):
     """The config of a part that takes the depth cloud of an image apart; a frozen dataclass."""
 
-    def build(self, camera: Camera, seed: int) -> Clusterer:
-        """Return the clusterer for a camera; all that it draws by lot comes from the seed."""
+    def build(self, parts: Parts) -> Clusterer:
+        """Return the clusterer; its random choices start from the seed."""
 
 
 class KeypointSieveConfig(Protocol):
     """The config of a part that says which keypoints tracking may use; a frozen dataclass."""
 
-    def build(self) -> KeypointSieve:
-        """Return the sieve."""
+    def build(self, parts: Parts) -> KeypointSieve:
+        """Return the sieve; its random choices start from the seed."""
 
 
 class DenseMappingConfig(Protocol):
     """The config of a part that makes a dense map; a frozen dataclass."""
 
-    def build(self, camera: Camera, world: Map, timed: Timing | None = None) -> DenseMapping:
-        """Return the dense map of a map's keyframes, which may have pieces of its work timed."""
+    def build(self, parts: Parts) -> DenseMapping:
+        """Return the dense map of the map's keyframes; it may have pieces of its work timed."""
 
 
 class MatchSieveConfig(Protocol):
     """The config of a part that says what does move; a frozen dataclass."""
 
-    def build(self, seed: int) -> MatchSieve:
-        """Return the sieve; all that it draws by lot comes from the seed."""
+    def build(self, parts: Parts) -> MatchSieve:
+        """Return the sieve; its random choices start from the seed."""
 
 
 class QuickTrackingConfig(Protocol):
     """The config of a part that finds a quick pose before tracking proper; a frozen dataclass."""
 
-    def build(self, sieve: MatchSieve) -> QuickTracking:
+    def build(self, parts: Parts, sieve: MatchSieve) -> QuickTracking:
         """Return the part; it asks the sieve under the pose that it finds."""
 
 
@@ -180,9 +178,9 @@ class ChainConfig:
         default_factory=MovedSegmentsConfig, metadata={"kinds": Kinds("dynamics.second", SINGLE_SIEVES)}
     )
 
-    def build(self, seed: int = 0) -> MatchSieve:
+    def build(self, parts: Parts) -> MatchSieve:
         """Return the chain."""
-        return Chain([self.first.build(seed), self.second.build(seed)])
+        return Chain([self.first.build(parts), self.second.build(parts)], parts.world)
 
 
 DYNAMICS = Kinds("dynamics", {**SINGLE_SIEVES, "chain": ChainConfig})

@@ -8,7 +8,7 @@ import numpy as np
 
 from stillroom.data.cloud.dense_cloud import DenseCloud
 from stillroom.data.image import RgbdImage
-from stillroom.data.map import Map, submaps
+from stillroom.data.map import submaps
 from stillroom.dense.carving import Carver, CarvingConfig
 from stillroom.dense.cloud_store import CloudStore
 from stillroom.dense.fused_views import FusedViews
@@ -23,8 +23,7 @@ from stillroom.dense.witnesses import lens_of
 from stillroom.errors import ConfigError
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64, I32, Bool
-from stillroom.geometry.camera import Camera
-from stillroom.protocols import P, T, Timing
+from stillroom.protocols import P, Parts, T
 
 MB = float(1 << 20)
 CLOUD_SHARE, VOXEL_SHARE, WITNESS_SHARE = 0.45, 0.45, 0.1
@@ -65,13 +64,8 @@ class DenseMapperConfig:
     max_memory_mb: float = 512.0
     swap_folder: Path | None = None
 
-    def build(self, camera: Camera, world: Map, timed: Timing | None = None) -> "DenseMapper":
-        """Return an empty dense map of a map's keyframes.
-
-        Args:
-            camera: The calibration.
-            world: The map.
-            timed: Times what the stages consist of.
+    def build(self, parts: Parts) -> "DenseMapper":
+        """Return an empty dense map of the map's keyframes.
 
         Raises:
             ConfigError: A value is impossible.
@@ -93,15 +87,16 @@ class DenseMapperConfig:
             raise ConfigError(
                 f"dense.surface.far_m is {surface.far_m} and near_m {surface.near_m}; they must be a range of depths"
             )
-        return DenseMapper(self, camera, world, timed)
+        return DenseMapper(self, parts)
 
 
 class DenseMapper:
     """Fuses keyframes, removes what moved, follows corrections of the poses."""
 
-    def __init__(self, config: DenseMapperConfig, camera: Camera, world: Map, timed: Timing | None = None) -> None:
-        """Start empty; arguments as of `DenseMapperConfig.build`."""
-        self.config, self.camera, self.world = config, camera, world
+    def __init__(self, config: DenseMapperConfig, parts: Parts) -> None:
+        """Start empty."""
+        self.config, self.camera, self.world = config, parts.camera, parts.world
+        camera, world, timed = parts.camera, parts.world, parts.clock.timed
         self.voxels = VoxelMap(config.voxel_m)
         self._maker = CloudMaker(config.surface, camera)
         self._clouds = CloudStore(self._maker.shape, CLOUD_SHARE * config.max_memory_mb * MB, config.swap_folder)
@@ -116,7 +111,6 @@ class DenseMapper:
         self._clock = 0
         self._last_keyframe = -1
         self._since_fused = 0
-        timed = timed or _untimed
         self._fuse_image = timed("dense: fusing", self._fuse)
         self._judge_keyframe = timed("dense: removal", self._carver.judge_keyframe)
         self._ask_earlier = timed("dense: doubts", self._carver.ask_earlier)

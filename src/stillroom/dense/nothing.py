@@ -4,17 +4,15 @@ from dataclasses import dataclass
 
 from stillroom.data.cloud.dense_cloud import DenseCloud
 from stillroom.data.image import RgbdImage
-from stillroom.data.map import Map
 from stillroom.geometry.arrays import F64, Bool
-from stillroom.geometry.camera import Camera
-from stillroom.protocols import Timing
+from stillroom.protocols import Parts
 
 
 @dataclass(frozen=True)
 class NoDenseMapConfig:
     """There is nothing to choose."""
 
-    def build(self, camera: Camera, world: Map, timed: Timing | None = None) -> "NoDenseMap":
+    def build(self, parts: Parts | None = None) -> "NoDenseMap":
         """Return the dense map that is none."""
         return NoDenseMap()
 

@@ -23,9 +23,9 @@ T = TypeVar("T")
 class Asking:
     """Puts the questions of tracking to a sieve, and leads it through its life."""
 
-    def __init__(self, sieve: MatchSieve) -> None:
-        """Take a fresh sieve."""
-        self.sieve = sieve
+    def __init__(self, sieve: MatchSieve, world: Map) -> None:
+        """Take a fresh sieve, and the map whose corrections it follows."""
+        self.sieve, self._world = sieve, world
         self._memory = sieve if isinstance(sieve, RememberingSieve) else None
         self._jumps = JumpFollower()
 
@@ -33,24 +33,23 @@ class Asking:
         """Return the sieve's verdict, or as much of it as leaves enough matches to track with."""
         if question.stage is Stage.RELOCALIZATION:
             return question.nothing_moves()
-        self._correct(question.world)
+        self._correct()
         return question.enough_of(self.sieve.judge(question))
 
-    def remember(self, frame: Frame, T_cam_world: F64, keyframe: int, world: Map) -> None:
+    def remember(self, frame: Frame, T_cam_world: F64, keyframe: int) -> None:
         """Hand a frame that is done to a sieve with a memory.
 
         Args:
             frame: The frame.
             T_cam_world: Its refined pose (4, 4), in the map as it is now.
             keyframe: Its id in the map where it became a keyframe; else −1.
-            world: The map.
         """
-        self._correct(world)
+        self._correct()
         if self._memory is not None:
             self._memory.remember(frame, T_cam_world, keyframe)
 
-    def _correct(self, world: Map) -> None:
-        T_new_old = self._jumps.missed(world)
+    def _correct(self) -> None:
+        T_new_old = self._jumps.missed(self._world)
         if T_new_old is not None and self._memory is not None:
             self._memory.corrected(T_new_old)
 

@@ -12,6 +12,7 @@ from stillroom.dynamics.depth_history import DepthHistory, DepthHistoryConfig
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64, I64, Bool
 from stillroom.geometry.epipolar import motion_line_distances_px
+from stillroom.protocols import Parts
 
 
 @dataclass(frozen=True)
@@ -37,7 +38,7 @@ class EpipolarConfig:
     min_agreeing: int = 1
     history: DepthHistoryConfig = field(default_factory=DepthHistoryConfig)
 
-    def build(self, seed: int = 0) -> "EpipolarSieve":
+    def build(self, parts: Parts | None = None) -> "EpipolarSieve":
         """Return the sieve."""
         return EpipolarSieve(self)
 

@@ -6,14 +6,14 @@ from stillroom.data.frame import Frame
 from stillroom.data.motion import Motion
 from stillroom.data.question import Question
 from stillroom.data.semantics import Semantics
-from stillroom.protocols import KeypointSieve, Pending
+from stillroom.protocols import KeypointSieve, Parts, Pending
 
 
 @dataclass(frozen=True)
 class KeepAllKeypointsConfig:
     """Every keypoint is tracked."""
 
-    def build(self) -> KeypointSieve:
+    def build(self, parts: Parts | None = None) -> KeypointSieve:
         """Return the sieve."""
         return KeepAllKeypoints()
 
@@ -30,7 +30,7 @@ class KeepAllKeypoints:
 class KeepAllConfig:
     """Nothing moves: plain ORB-SLAM2."""
 
-    def build(self, seed: int = 0) -> "KeepAllMatches":
+    def build(self, parts: Parts | None = None) -> "KeepAllMatches":
         """Return the sieve."""
         return KeepAllMatches()
 

@@ -8,7 +8,7 @@ import numpy as np
 from stillroom.data.frame import Frame
 from stillroom.data.semantics import Semantics
 from stillroom.errors import ConfigError
-from stillroom.protocols import KeypointSieve, Pending
+from stillroom.protocols import KeypointSieve, Parts, Pending
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class MaskedKeypointsConfig:
     border_px: int = 2
     min_keypoints: int = 20
 
-    def build(self) -> KeypointSieve:
+    def build(self, parts: Parts | None = None) -> KeypointSieve:
         """Return the sieve.
 
         Raises:

@@ -11,6 +11,7 @@ from stillroom.data.motion import Motion, Stage
 from stillroom.data.question import Question
 from stillroom.geometry.arrays import F64, Bool
 from stillroom.geometry.epipolar import line_distances_px
+from stillroom.protocols import Parts
 
 _MIN_FOR_F = 15
 
@@ -33,9 +34,9 @@ class PaperEpipolarConfig:
     keyframe_px: float = 2.0
     inlier_px: float = 1.0
 
-    def build(self, seed: int = 0) -> "PaperEpipolarSieve":
-        """Return the sieve; the seed is that of the robust estimate."""
-        return PaperEpipolarSieve(self, seed)
+    def build(self, parts: Parts) -> "PaperEpipolarSieve":
+        """Return the sieve; its seed is that of the robust estimate."""
+        return PaperEpipolarSieve(self, parts.seed)
 
 
 class PaperEpipolarSieve:

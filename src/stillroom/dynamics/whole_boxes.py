@@ -4,13 +4,14 @@ from dataclasses import dataclass
 
 from stillroom.data.motion import Motion
 from stillroom.data.question import Question
+from stillroom.protocols import Parts
 
 
 @dataclass(frozen=True)
 class WholeBoxesConfig:
     """All of a box or mask is thrown away."""
 
-    def build(self, seed: int = 0) -> "WholeBoxes":
+    def build(self, parts: Parts | None = None) -> "WholeBoxes":
         """Return the sieve."""
         return WholeBoxes()
 

@@ -12,6 +12,7 @@ from stillroom.features.describe import BORDER_PX, describe, orientations, patch
 from stillroom.features.orb_pattern import orb_pattern
 from stillroom.geometry.arrays import F32, I64, U8
 from stillroom.geometry.camera import Camera
+from stillroom.protocols import Parts
 
 
 @dataclass(frozen=True)
@@ -40,9 +41,9 @@ class OrbConfig:
         """The pyramid."""
         return ScaleLevels(self.scale_factor, self.n_levels)
 
-    def build(self, camera: Camera, seed: int = 0) -> "OrbExtractor":
+    def build(self, parts: Parts) -> "OrbExtractor":
         """Return the extractor for a camera."""
-        return OrbExtractor(self, camera, seed)
+        return OrbExtractor(self, parts.camera, parts.seed)
 
 
 class OrbExtractor:

@@ -9,13 +9,13 @@ import numpy as np
 from stillroom.data.map import Map, submaps
 from stillroom.features.places.place_memory import PlaceMemory
 from stillroom.geometry import se3
-from stillroom.geometry.camera import Camera
 from stillroom.loops.correction import fuse_group
 from stillroom.loops.global_bundle import GlobalBundle
 from stillroom.loops.recognition.verification import Loop, VerificationConfig
 from stillroom.loops.snapshot import Snapshot
 from stillroom.loops.verdict import LinkChange, judge
 from stillroom.optimize.bundle import BundleConfig
+from stillroom.protocols import Parts
 
 logger = logging.getLogger(__name__)
 
@@ -40,24 +40,15 @@ class JoiningConfig:
     min_kept_share: float = 0.5
     bundle: BundleConfig = field(default_factory=BundleConfig)
 
-    def build(
-        self,
-        camera: Camera,
-        world: Map,
-        places: PlaceMemory,
-        seed: int = 0,
-        after: Sequence[Callable[[], None]] = (),
-    ) -> "SubmapJoiner":
+    def build(self, parts: Parts, places: PlaceMemory, after: Sequence[Callable[[], None]] = ()) -> "SubmapJoiner":
         """Return the joiner of a map's sub-maps.
 
         Args:
-            camera: The calibration of all keyframes.
-            world: The map.
-            places: Knows its keyframes by their looks.
-            seed: Where every random choice starts.
+            parts: What it is built of.
+            places: Knows the keyframes by their looks.
             after: Called when sub-maps were joined: what must follow the keyframes to where they are now.
         """
-        return SubmapJoiner(self, camera, world, places, seed, after)
+        return SubmapJoiner(self, parts, places, after)
 
 
 class SubmapJoiner:
@@ -70,16 +61,14 @@ class SubmapJoiner:
     def __init__(
         self,
         config: JoiningConfig,
-        camera: Camera,
-        world: Map,
+        parts: Parts,
         places: PlaceMemory,
-        seed: int,
         after: Sequence[Callable[[], None]],
     ) -> None:
         """Start with nothing joined."""
-        self.config, self.camera, self.world, self.places = config, camera, world, places
+        self.config, self.camera, self.world, self.places = config, parts.camera, parts.world, places
         self.joined: list[Loop] = []
-        self._verifier = config.verification.build(camera, seed)
+        self._verifier = config.verification.build(parts)
         self._adjust = config.bundle.build()
         self._after = tuple(after)
 

@@ -7,12 +7,10 @@ from typing import Protocol
 
 import numpy as np
 
-from stillroom.data.map import Map
 from stillroom.errors import ConfigError
 from stillroom.features.places.place_memory import PlaceMemory
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64
-from stillroom.geometry.camera import Camera
 from stillroom.loops.correction import Correction, close_loop
 from stillroom.loops.essential_graph import essential_edges, paths_from
 from stillroom.loops.global_bundle import GlobalBundle
@@ -22,6 +20,7 @@ from stillroom.loops.snapshot import Snapshot
 from stillroom.loops.verdict import LinkChange, Verdict, judge
 from stillroom.optimize.bundle import BundleConfig
 from stillroom.optimize.pose_graph import PoseGraphConfig
+from stillroom.protocols import Parts
 
 logger = logging.getLogger(__name__)
 
@@ -68,21 +67,12 @@ class LoopsConfig:
     graph: PoseGraphConfig = field(default_factory=PoseGraphConfig)
     bundle: BundleConfig = field(default_factory=lambda: BundleConfig(first_damping=1e-8))
 
-    def build(
-        self,
-        camera: Camera,
-        world: Map,
-        places: PlaceMemory,
-        seed: int = 0,
-        after: Sequence[Callable[[], None]] = (),
-    ) -> "LoopClosing":
+    def build(self, parts: Parts, places: PlaceMemory, after: Sequence[Callable[[], None]] = ()) -> "LoopClosing":
         """Return the loop closer of a map.
 
         Args:
-            camera: The calibration of all keyframes.
-            world: The map.
-            places: Knows its keyframes by their looks.
-            seed: Where every random choice starts.
+            parts: What it is built of.
+            places: Knows the keyframes by their looks.
             after: Called when the map has been corrected: what must follow the keyframes to where they are now.
 
         Raises:
@@ -95,7 +85,7 @@ class LoopsConfig:
         if self.detection.consistent_keyframes < 1:
             found = self.detection.consistent_keyframes
             raise ConfigError(f"loops.detection.consistent_keyframes is {found}; it must be at least 1")
-        return LoopCloser(self, camera, world, places, seed, after) if self.enabled else NoLoops()
+        return LoopCloser(self, parts, places, after) if self.enabled else NoLoops()
 
 
 class LoopClosing(Protocol):
@@ -124,18 +114,16 @@ class LoopCloser:
     def __init__(
         self,
         config: LoopsConfig,
-        camera: Camera,
-        world: Map,
+        parts: Parts,
         places: PlaceMemory,
-        seed: int,
         after: Sequence[Callable[[], None]],
     ) -> None:
         """Start without a past."""
-        self.config, self.camera, self.world, self.places = config, camera, world, places
+        self.config, self.camera, self.world, self.places = config, parts.camera, parts.world, places
         self.closed: list[Loop] = []
         self.refused: list[tuple[Loop, Verdict]] = []
-        self._detector = config.detection.build(places, world)
-        self._verifier = config.verification.build(camera, seed)
+        self._detector = config.detection.build(parts, places)
+        self._verifier = config.verification.build(parts)
         self._optimize, self._adjust = config.graph.build(), config.bundle.build()
         self._after = tuple(after)
 

@@ -12,6 +12,7 @@ from stillroom.mapping.fusing import fuse_neighbourhood
 from stillroom.mapping.local_bundle import adjust_all, adjust_locally
 from stillroom.mapping.new_points import by_triangulation, from_depth
 from stillroom.optimize.bundle import BundleConfig
+from stillroom.protocols import Parts
 
 
 @dataclass(frozen=True)
@@ -41,9 +42,9 @@ class LocalMapperConfig:
     bundle: BundleConfig = field(default_factory=BundleConfig)
     looped_bundle: BundleConfig = field(default_factory=lambda: BundleConfig(first_damping=1e-8))
 
-    def build(self, camera: Camera, world: Map) -> "LocalMapper":
+    def build(self, parts: Parts) -> "LocalMapper":
         """Return the mapper of a map."""
-        return LocalMapper(self, camera, world)
+        return LocalMapper(self, parts.camera, parts.world)
 
 
 class LocalMapper:

@@ -25,7 +25,7 @@ from stillroom.pipeline.stop_request import StopRequest
 from stillroom.protocols import Dataset, RunObserver
 from stillroom.semantics.detector_off import withhold
 from stillroom.semantics.mask_files import MaskFilesConfig
-from stillroom.system import build
+from stillroom.system import build, segmenter_of
 from stillroom.viz.nothing import Nothing
 from stillroom.viz.recorder import PictureRecorderConfig
 
@@ -63,7 +63,7 @@ def _run(
     dataset: Dataset, config: SlamConfig, options: RunOptions, progress: Progress, opened: OpenedMap
 ) -> RunOutcome:
     clock, newest = StageClock(), _Newest()
-    segmenter = withhold(options.segmenter or config.semantics.build(), options.detector_off)
+    segmenter = withhold(options.segmenter or segmenter_of(config, dataset.camera), options.detector_off)
     slam = build(
         config, dataset.camera, segmenter, observer=newest, clock=clock, world=opened.world, keeper=opened.keeper
     )

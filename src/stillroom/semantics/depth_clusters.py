@@ -19,14 +19,14 @@ from stillroom.geometry.cloud.foreground import claim_foregrounds
 from stillroom.geometry.cloud.labels import spread_labels
 from stillroom.geometry.cloud.planes import PlaneLimits, Planes, find_planes
 from stillroom.geometry.cloud.segments import SegmentLimits, Segments, segment
-from stillroom.protocols import Pending
+from stillroom.protocols import Parts, Pending
 
 
 @dataclass(frozen=True)
 class NoClustersConfig:
     """There is nothing to choose."""
 
-    def build(self, camera: Camera, seed: int) -> "NoClusters":
+    def build(self, parts: Parts | None = None) -> "NoClusters":
         """Return the clusterer."""
         return NoClusters()
 
@@ -63,8 +63,8 @@ class DepthClustersConfig:
     planes: PlaneLimits = field(default_factory=PlaneLimits)
     segments: SegmentLimits = field(default_factory=SegmentLimits)
 
-    def build(self, camera: Camera, seed: int) -> "DepthClusterer":
-        """Return the clusterer. Nothing in it is drawn by lot: the seed is not used.
+    def build(self, parts: Parts) -> "DepthClusterer":
+        """Return the clusterer; it makes no random choice.
 
         Raises:
             ConfigError: A value is impossible.
@@ -84,7 +84,7 @@ class DepthClustersConfig:
                 f"clusters.max_depth_m is {self.max_depth_m} and min_depth_m {self.min_depth_m}; "
                 "they must be a range of depths"
             )
-        return DepthClusterer(self, camera)
+        return DepthClusterer(self, parts.camera)
 
 
 class DepthClusterer:

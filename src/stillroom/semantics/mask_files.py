@@ -14,7 +14,7 @@ from stillroom.data.image import RgbdImage
 from stillroom.data.semantics import Box, Instance, Semantics, nothing, union_of
 from stillroom.errors import ConfigError, DatasetError
 from stillroom.geometry.arrays import U8, Ints
-from stillroom.protocols import Segmenter
+from stillroom.protocols import Parts, Segmenter
 
 SUFFIXES = {".png", ".bmp", ".tif", ".tiff", ".pgm", ".webp"}  # without loss; JPEG blurs labels
 TIME_TOLERANCE_S = 0.001
@@ -50,7 +50,7 @@ class MaskFilesConfig:
     min_box_px: int = 100
     instances: bool = False
 
-    def build(self) -> Segmenter:
+    def build(self, parts: Parts | None = None) -> Segmenter:
         """Return the segmenter.
 
         Raises:

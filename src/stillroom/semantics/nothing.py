@@ -4,14 +4,14 @@ from dataclasses import dataclass
 
 from stillroom.data.image import RgbdImage
 from stillroom.data.semantics import Semantics, nothing
-from stillroom.protocols import Segmenter
+from stillroom.protocols import Parts, Segmenter
 
 
 @dataclass(frozen=True)
 class NothingConfig:
     """There is nothing to choose."""
 
-    def build(self) -> Segmenter:
+    def build(self, parts: Parts | None = None) -> Segmenter:
         """Return the segmenter."""
         return Nothing()
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from stillroom.data.image import RgbdImage
 from stillroom.data.semantics import Box, Semantics
 from stillroom.errors import ConfigError
-from stillroom.protocols import Segmenter
+from stillroom.protocols import Parts, Segmenter
 from stillroom.semantics.carried_boxes import CarriedBoxes, CarryConfig
 from stillroom.semantics.detector import EachFrameAlone
 
@@ -22,7 +22,7 @@ class TruthConfig:
     masks: bool = False
     carry: CarryConfig = field(default_factory=lambda: CarryConfig(enabled=False))
 
-    def build(self) -> Segmenter:
+    def build(self, parts: Parts | None = None) -> Segmenter:
         """Return the segmenter."""
         if self.masks:
             return TrueMasks()

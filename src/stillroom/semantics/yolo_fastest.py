@@ -8,7 +8,7 @@ from typing import Any
 
 from stillroom.data.locations import cache_folder, models_folder, models_home
 from stillroom.errors import ConfigError, WeightsError
-from stillroom.protocols import Segmenter
+from stillroom.protocols import Parts, Segmenter
 from stillroom.semantics.carried_boxes import CarriedBoxes, CarryConfig
 from stillroom.semantics.darknet.cfg import read_bytes, read_cfg
 from stillroom.semantics.darknet.heads import DarknetHeads
@@ -44,7 +44,7 @@ class YoloFastestConfig:
     folder: str = ""
     carry: CarryConfig = field(default_factory=CarryConfig)
 
-    def build(self) -> Segmenter:
+    def build(self, parts: Parts | None = None) -> Segmenter:
         """Return the detector.
 
         Raises:

@@ -7,6 +7,7 @@ from stillroom.data.image import RgbdImage
 from stillroom.data.result import FrameResult
 from stillroom.geometry.arrays import Bool
 from stillroom.geometry.camera import Camera
+from stillroom.protocols import Parts
 from stillroom.storage.pictures import compress
 from stillroom.storage.stored import FrameNote
 from stillroom.storage.writer import MapWriter
@@ -22,9 +23,9 @@ class MapKeeperConfig:
 
     images: bool = False
 
-    def build(self, writer: MapWriter, session: int, camera: Camera) -> "MapKeeper":
+    def build(self, parts: Parts, writer: MapWriter, session: int) -> "MapKeeper":
         """Return what keeps the map of a session, the one of this number."""
-        return MapKeeper(self, writer, session, camera)
+        return MapKeeper(self, writer, session, parts.camera)
 
 
 class MapKeeper:

@@ -5,7 +5,7 @@ In a test of your own::
     from stillroom.testing.sieve_contract import check_sieve
 
     def test_my_sieve():
-        check_sieve(MySieveConfig().build)  # anything that takes a seed and builds a fresh one
+        check_sieve(MySieveConfig().build)  # anything that builds a fresh one of parts
 """
 
 import itertools
@@ -25,7 +25,7 @@ from stillroom.datasets.open import open_dataset
 from stillroom.dynamics.asking import Asking
 from stillroom.geometry.arrays import F64
 from stillroom.geometry.camera import Camera
-from stillroom.protocols import Dataset, MatchSieve, RememberingSieve
+from stillroom.protocols import Dataset, MatchSieve, Parts, RememberingSieve
 from stillroom.system import build as build_slam
 from stillroom.testing.sieve_questions import at, fingerprints, odd_questions
 from stillroom.testing.true_clusters import true_clusters
@@ -36,7 +36,7 @@ SEED = 3
 FEWEST_MATCHES = 40
 """The odd questions are made of one that has at least so many."""
 
-Build = Callable[[int], MatchSieve]
+Build = Callable[[Parts], MatchSieve]
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ def check_sieve(build: Build, dataset: Dataset | None = None) -> list[Answer]:
     boxes, and its figures as clusters. Then odd questions are put to it, fresh and with the past that the run gave it.
 
     Args:
-        build: Returns a fresh sieve for a seed.
+        build: Returns a fresh sieve, built of parts.
         dataset: A rendered sequence of some 20 frames; the package's own where not given.
 
     Returns:
@@ -78,9 +78,9 @@ def check_sieve(build: Build, dataset: Dataset | None = None) -> list[Answer]:
     tracking.check_answers()
     last = tracking.last_question(slam.map)
     numbers = itertools.count(last.frame.image.index + 1)
-    pasts = {"fresh": _led(build(SEED)), "with another seed": _led(build(SEED + 1)), "after a run": tracking.sieve}
+    pasts = {"fresh": tracking.fresh(), "with another seed": tracking.fresh(SEED + 1), "after a run": tracking.sieve}
     for what, question in odd_questions(last):
-        for past, sieve in (pasts | {"fresh": _led(build(SEED))}).items():
+        for past, sieve in (pasts | {"fresh": tracking.fresh()}).items():
             _check_odd(sieve, question, numbers, f"{what}, {past}")
     return tracking.answers
 
@@ -89,16 +89,21 @@ class _Tracking:
     """Sits in the tracker's socket, puts each of its questions to the sieve, twice, and to a twin of it."""
 
     def __init__(self, build: Build) -> None:
-        self.sieve, self.twin = _led(build(SEED)), _led(build(SEED))
+        self.build_one = build
         self.answers: list[Answer] = []
         self.copies: list[Motion] = []
         self.last: Question | None = None
 
-    def build(self, seed: int) -> MatchSieve:
+    def build(self, parts: Parts) -> MatchSieve:
+        self.parts = replace(parts, seed=SEED)
+        self.sieve, self.twin = self.fresh(), self.fresh()
         return self
 
+    def fresh(self, seed: int = SEED) -> Asking:
+        return _led(self.build_one(replace(self.parts, seed=seed)), self.parts.world)
+
     def judge(self, question: Question) -> Motion:
-        stage, index, self.world = question.stage, question.frame.image.index, question.world
+        stage, index = question.stage, question.frame.image.index
         where, motion = _where(question), self.sieve.judge(question)
         _check_same(self.twin.judge(question), motion, f"{where}: another one of the same seed")
         _check_same(self.sieve.judge(question), motion, f"{where}: asked the same once more")
@@ -110,7 +115,7 @@ class _Tracking:
 
     def remember(self, frame: Frame, T_cam_world: F64, keyframe: int) -> None:
         for asked in (self.sieve, self.twin):
-            asked.remember(frame, T_cam_world, keyframe, self.world)
+            asked.remember(frame, T_cam_world, keyframe)
 
     def corrected(self, T_new_old: F64) -> None:
         """The sieve and its twin are led on their own."""
@@ -148,9 +153,9 @@ def _where(question: Question) -> str:
     return f"image {question.frame.image.index}, {question.stage.name}"
 
 
-def _led(sieve: MatchSieve) -> Asking:
+def _led(sieve: MatchSieve, world: Map) -> Asking:
     """Return who leads a sieve through its life, with its answers looked at before anything is done with them."""
-    return Asking(_Checked(sieve))
+    return Asking(_Checked(sieve), world)
 
 
 class _Checked:

@@ -5,7 +5,7 @@ In a test of your own::
     from stillroom.testing.sieve_jumps import check_follows_jumps
 
     def test_my_sieve_follows():
-        check_follows_jumps(MySieveConfig().build)  # anything that takes a seed and builds a fresh one
+        check_follows_jumps(MySieveConfig().build)  # anything that builds a fresh one of parts
 """
 
 from collections.abc import Callable, Iterator
@@ -27,7 +27,7 @@ from stillroom.dynamics.asking import Asking
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64
 from stillroom.geometry.camera import Camera
-from stillroom.protocols import Dataset, MatchSieve
+from stillroom.protocols import Dataset, MatchSieve, Parts
 from stillroom.system import build as build_slam
 from stillroom.testing.true_clusters import true_clusters
 
@@ -38,14 +38,14 @@ FAR = (0.7, -0.4, 1.1, 0.2, 0.9, -0.3)
 """Twist of the jump: as far as a loop ever moved a map, and farther [m, rad]."""
 
 
-def check_follows_jumps(build: Callable[[int], MatchSieve], dataset: Dataset | None = None) -> int:
+def check_follows_jumps(build: Callable[[Parts], MatchSieve], dataset: Dataset | None = None) -> int:
     """Make sure that a sieve says the same of a map that jumps as of one that does not.
 
     The camera is tracked through a short rendered sequence with the sieve in its place. A twin of it is asked the same
     questions about the same map, which from the middle of the sequence on lies elsewhere, and says so in `Map.jumps`.
 
     Args:
-        build: Returns a fresh sieve for a seed.
+        build: Returns a fresh sieve, built of parts.
         dataset: A rendered sequence of some 16 frames without loops; the package's own where not given.
 
     Returns:
@@ -81,22 +81,23 @@ class _OneBoxAndClusters:
 class _Tracking:
     """Sits in the tracker's socket, puts each of its questions to the sieve, and to a twin after the map jumped."""
 
-    def __init__(self, build: Callable[[int], MatchSieve], jump_at: int) -> None:
-        self.sieve, self.twin, self.jump_at, self.n_moving = Asking(build(SEED)), Asking(build(SEED)), jump_at, 0
+    def __init__(self, build: Callable[[Parts], MatchSieve], jump_at: int) -> None:
+        self.build_one, self.jump_at, self.n_moving = build, jump_at, 0
         self.jump = se3.exp(np.array(FAR))
 
-    def build(self, seed: int) -> MatchSieve:
+    def build(self, parts: Parts) -> MatchSieve:
+        self.world, seeded = parts.world, replace(parts, seed=SEED)
+        self.sieve, self.twin = (Asking(self.build_one(seeded), parts.world) for _ in range(2))
         return self
 
     def judge(self, question: Question) -> Motion:
-        self.world = world = question.world
         index = question.frame.image.index
         motion = self.sieve.judge(question)
         if index < self.jump_at:
             other = self.twin.judge(question)
         else:
             self.n_moving += bool(motion.moving.any())
-            with _jumped(world, self.jump):
+            with _jumped(self.world, self.jump):
                 other = self.twin.judge(replace(question, T_cam_world=question.T_cam_world @ se3.inverse(self.jump)))
         where = f"image {index}, {question.stage.name}: after the map jumped at {self.jump_at}, the sieve"
         n = int(np.count_nonzero(motion.is_static != other.is_static))
@@ -106,12 +107,12 @@ class _Tracking:
         return motion
 
     def remember(self, frame: Frame, T_cam_world: F64, keyframe: int) -> None:
-        self.sieve.remember(frame, T_cam_world, keyframe, self.world)
+        self.sieve.remember(frame, T_cam_world, keyframe)
         if frame.image.index < self.jump_at:
-            self.twin.remember(frame, T_cam_world, keyframe, self.world)
+            self.twin.remember(frame, T_cam_world, keyframe)
             return
         with _jumped(self.world, self.jump):
-            self.twin.remember(frame, T_cam_world @ se3.inverse(self.jump), keyframe, self.world)
+            self.twin.remember(frame, T_cam_world @ se3.inverse(self.jump), keyframe)
 
     def corrected(self, T_new_old: F64) -> None:
         """The sieve and its twin are led on their own."""

@@ -6,6 +6,7 @@ import numpy as np
 
 from stillroom.data.map import Map
 from stillroom.data.result import Recovery, Tracked, TrackingState
+from stillroom.protocols import Parts
 
 
 @dataclass(frozen=True)
@@ -35,7 +36,7 @@ class KeyframePolicyConfig:
     min_inliers: int = 15
     enabled: bool = True
 
-    def build(self) -> "KeyframePolicy":
+    def build(self, parts: Parts | None = None) -> "KeyframePolicy":
         """Return the policy."""
         return KeyframePolicy(self)
 

@@ -20,7 +20,7 @@ from stillroom.data.semantics import Semantics
 from stillroom.geometry.arrays import F64
 from stillroom.optimize import measurements
 from stillroom.optimize.pose import PoseOptimizerConfig
-from stillroom.protocols import MatchSieve, Pending, QuickTracking
+from stillroom.protocols import MatchSieve, Parts, Pending, QuickTracking
 from stillroom.tracking import correspondences
 
 
@@ -28,7 +28,7 @@ from stillroom.tracking import correspondences
 class NoLowCostConfig:
     """Tracking starts from the motion model's guess, as ORB-SLAM2's does; sieve 2 is first asked there."""
 
-    def build(self, sieve: MatchSieve) -> QuickTracking:
+    def build(self, parts: Parts, sieve: MatchSieve) -> QuickTracking:
         """Return what does nothing."""
         return NoLowCost()
 
@@ -55,7 +55,7 @@ class LowCostConfig:
     min_matches: int = 20
     pose: PoseOptimizerConfig = field(default_factory=PoseOptimizerConfig)
 
-    def build(self, sieve: MatchSieve) -> QuickTracking:
+    def build(self, parts: Parts, sieve: MatchSieve) -> QuickTracking:
         """Return low-cost tracking that asks the sieve."""
         return LowCost(self, sieve)
 

@@ -16,6 +16,7 @@ from stillroom.geometry.arrays import F64, I32, Bool
 from stillroom.geometry.camera import Camera
 from stillroom.optimize import measurements
 from stillroom.optimize.pose import PoseOptimizerConfig
+from stillroom.protocols import Parts
 from stillroom.tracking.correspondences import targets_of
 
 MATCHING_RATIO = 0.75
@@ -50,9 +51,9 @@ class RecognitionConfig:
     min_inliers: int = 50
     pose: PoseOptimizerConfig = field(default_factory=PoseOptimizerConfig)
 
-    def build(self, seed: int) -> "Recognizer":
-        """Return the recogniser; all that it draws by lot comes from the seed."""
-        return Recognizer(self, seed)
+    def build(self, parts: Parts) -> "Recognizer":
+        """Return the recogniser; its random choices start from the seed."""
+        return Recognizer(self, parts.seed)
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from stillroom.data.map import Map
 from stillroom.data.result import Recovery, Tracked, TrackingState
 from stillroom.data.semantics import Semantics
 from stillroom.features.places.place_memory import PlaceMemory
-from stillroom.protocols import Pending
+from stillroom.protocols import Parts, Pending
 from stillroom.tracking.correspondences import with_keyframe
 from stillroom.tracking.recognition import Found, RecognitionConfig, solve_pnp
 from stillroom.tracking.tracker import Tracker
@@ -36,9 +36,9 @@ class RelocalizerConfig:
     min_inliers: int = 15
     patience: int = 20
 
-    def build(self, tracker: Tracker, places: PlaceMemory, seed: int = 0) -> "Relocalizer":
+    def build(self, parts: Parts, tracker: Tracker, places: PlaceMemory) -> "Relocalizer":
         """Return a relocalizer that asks the memory of places and refines its finds with the tracker."""
-        return Relocalizer(self, tracker, places, seed)
+        return Relocalizer(self, parts, tracker, places)
 
 
 class Relocalizer:
@@ -48,10 +48,10 @@ class Relocalizer:
     come the newest keyframes, each with all its descriptors: after a short gap they know more than words do.
     """
 
-    def __init__(self, config: RelocalizerConfig, tracker: Tracker, places: PlaceMemory, seed: int) -> None:
+    def __init__(self, config: RelocalizerConfig, parts: Parts, tracker: Tracker, places: PlaceMemory) -> None:
         """Keep what recovering needs."""
-        self.config, self.tracker, self.places, self.seed = config, tracker, places, seed
-        self._recognizer = config.recognition.build(seed)
+        self.config, self.tracker, self.places, self.seed = config, tracker, places, parts.seed
+        self._recognizer = config.recognition.build(parts)
         self._n_in_vain = 0
 
     def recover(self, tracked: Tracked, semantics: Pending[Semantics], world: Map) -> Tracked:

@@ -15,7 +15,7 @@ from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64, I32
 from stillroom.optimize import measurements
 from stillroom.optimize.pose import PoseOptimizerConfig
-from stillroom.protocols import MatchSieve, Pending, QuickTracking
+from stillroom.protocols import MatchSieve, Parts, Pending, QuickTracking
 from stillroom.tracking import correspondences, local_map
 from stillroom.tracking.low_cost import NoLowCost
 from stillroom.tracking.motion_model import ConstantVelocity
@@ -47,7 +47,7 @@ class TrackerConfig:
     local_window: float = 5.0
     pose: PoseOptimizerConfig = field(default_factory=PoseOptimizerConfig)
 
-    def build(self, sieve: MatchSieve, quick: QuickTracking | None = None) -> "Tracker":
+    def build(self, parts: Parts, sieve: MatchSieve, quick: QuickTracking | None = None) -> "Tracker":
         """Return a tracker that asks the sieve, and starts from a quick pose where there is a part that finds one."""
         return Tracker(self, sieve, quick or NoLowCost())
 

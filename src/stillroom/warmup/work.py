@@ -9,6 +9,7 @@ from stillroom.config import SlamConfig
 from stillroom.config.kinds import DYNAMICS
 from stillroom.data.cloud.dense_cloud import DenseCloud
 from stillroom.data.frame import Frame
+from stillroom.data.map import Map
 from stillroom.data.motion import Motion
 from stillroom.data.question import Question
 from stillroom.datasets.open import open_dataset
@@ -27,7 +28,7 @@ from stillroom.features.places.branch_matching import match_by_branch
 from stillroom.features.places.training import TrainingConfig, train
 from stillroom.geometry.arrays import F64
 from stillroom.optimize.reduced_system import SparseSystem
-from stillroom.protocols import MatchSieve
+from stillroom.protocols import MatchSieve, Parts
 from stillroom.semantics.depth_clusters import DepthClustersConfig
 from stillroom.semantics.truth import TruthConfig
 from stillroom.system import Slam, build
@@ -139,22 +140,23 @@ def render() -> None:
 class EverySieveConfig:
     """Every part that says what does move."""
 
-    def build(self, seed: int) -> "EverySieve":
+    def build(self, parts: Parts) -> "EverySieve":
         """Return the sieve."""
         others = [kind() for kind in DYNAMICS.classes.values()]
-        return EverySieve(ClusterSieveConfig().build(seed), [config.build(seed) for config in (*others, ANTS)])
+        return EverySieve(
+            ClusterSieveConfig().build(parts), [config.build(parts) for config in (*others, ANTS)], parts.world
+        )
 
 
 class EverySieve:
     """Puts each question to all sieves, and answers as one of them."""
 
-    def __init__(self, spokesman: MatchSieve, others: list[MatchSieve]) -> None:
+    def __init__(self, spokesman: MatchSieve, others: list[MatchSieve], world: Map) -> None:
         """Take them."""
-        self._spokesman, self._others = Asking(spokesman), [Asking(sieve) for sieve in others]
+        self._spokesman, self._others = Asking(spokesman, world), [Asking(sieve, world) for sieve in others]
 
     def judge(self, question: Question) -> Motion:
         """Judge as the spokesman does."""
-        self._world = question.world
         for sieve in self._others:
             sieve.judge(question)
         return self._spokesman.judge(question)
@@ -162,7 +164,7 @@ class EverySieve:
     def remember(self, frame: Frame, T_cam_world: F64, keyframe: int) -> None:
         """Hand the frame on to all of them."""
         for sieve in (self._spokesman, *self._others):
-            sieve.remember(frame, T_cam_world, keyframe, self._world)
+            sieve.remember(frame, T_cam_world, keyframe)
 
     def corrected(self, T_new_old: F64) -> None:
         """Do nothing: each is led on its own."""

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from building import parts
 from small_world import SmallMap, pose
 from staged_things import HOME, STEP_S, WALL, Play, Thing, empty_wall, on, seen, share
 
@@ -24,7 +25,7 @@ def walker(step: int) -> Thing:
 
 @pytest.fixture
 def play() -> Play:
-    return Play(ClusterSieveConfig().build(0))
+    return Play(ClusterSieveConfig().build(parts()))
 
 
 def test_what_stands_where_it_was_empty_moves_with_all_that_lies_on_it(play: Play) -> None:
@@ -177,7 +178,7 @@ def test_what_is_unknown_beside_a_moving_cluster_moves_too(play: Play) -> None:
 def test_a_cluster_goes_whole_when_more_than_half_of_its_pairs_fail(way: str, share_failing: float, goes: bool) -> None:
     # A first image: earlier ones say nothing. The thing lies on the wall, so that its pairs can hold.
     first = pose(0.25, -0.1, turn=(0.01, -0.02, 0.03))
-    play = Play(ClusterSieveConfig().build(0), small=SmallMap.of(WALL, [first, HOME]))
+    play = Play(ClusterSieveConfig().build(parts()), small=SmallMap.of(WALL, [first, HOME]))
     thing = Thing(200, 80, 250, 300, 3.0)
     frame, semantics = seen([thing], 1.0)
     rng = np.random.default_rng(3)
@@ -227,7 +228,7 @@ def test_nothing_is_rejected_while_relocalizing(play: Play) -> None:
 
 @pytest.mark.parametrize("stage", [Stage.MOTION_MODEL, Stage.REFERENCE_KEYFRAME, Stage.RELOCALIZATION])
 def test_only_the_last_stage_is_remembered(stage: Stage) -> None:
-    plays = [Play(ClusterSieveConfig().build(0)) for _ in range(2)]
+    plays = [Play(ClusterSieveConfig().build(parts())) for _ in range(2)]
     for one in plays:
         one.during(1.0, CHAIR)
     # One is asked in passing, and sees the chair nearer, under poses that will not hold.
@@ -242,7 +243,7 @@ def test_only_the_last_stage_is_remembered(stage: Stage) -> None:
 
 
 def test_the_same_image_under_a_better_pose_is_judged_anew() -> None:
-    plays = [Play(ClusterSieveConfig().build(0)) for _ in range(2)]
+    plays = [Play(ClusterSieveConfig().build(parts())) for _ in range(2)]
     for one in plays:
         one.during(1.0, CHAIR)
     frame, semantics = seen([CHAIR], plays[0].time_s + STEP_S)
@@ -283,7 +284,7 @@ def test_where_there_were_too_few_matches_from_the_start_it_stays_on(play: Play)
 
 def test_without_clusters_the_boxes_decide_alone() -> None:
     config = ClusterSieveConfig()
-    whole, boxes = Play(config.build(0)), Play(config.boxes.build(0))
+    whole, boxes = Play(config.build(parts())), Play(config.boxes.build())
     for step in range(12):
         frame, semantics = seen([PERSON] if step > 8 else [CHAIR], 1.0 + step * STEP_S, boxes=[0])
         first, second = (play.ask(frame, replace(semantics, clusters=None)) for play in (whole, boxes))

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 from asked import ask as put
+from building import parts
 
 from stillroom.data.frame import Frame
 from stillroom.data.map import Map
@@ -33,7 +34,7 @@ FRAMES = (205, 208, 211, 214)
 def seen() -> list[tuple[Frame, np.ndarray]]:
     """Frames with the true poses that they were taken from."""
     dataset = open_dataset(CARRIED)
-    orb = OrbConfig().build(dataset.camera)
+    orb = OrbConfig().build(parts(dataset.camera))
     poses = dataset.groundtruth.T_world_cam
     return [(orb.extract(dataset.load(k)), se3.inverse(poses[k])) for k in FRAMES]
 
@@ -53,7 +54,7 @@ def ask(
 
 
 def run(config: CompensatedHomographyConfig, seen: list, seed: int = 0, known=lambda frame: None) -> list[Motion]:
-    sieve = config.build(seed)
+    sieve = config.build(parts(seed=seed))
     return [ask(sieve, frame, T_cam_world, known(frame)) for frame, T_cam_world in seen]
 
 
@@ -86,7 +87,7 @@ def test_the_search_finds_what_testing_everything_does(seen: list) -> None:
     both = [run(replace(config, search=search), seen)[1:] for search in ("reverse", "exhaustive")]
     moving = [np.concatenate([~motion.is_static for motion in motions]) for motions in both]
     assert np.mean(moving[0][moving[1]]) > 0.9
-    sieve = config.build(0)
+    sieve = config.build(parts())
     for frame, T_cam_world in seen:
         ask(sieve, frame, T_cam_world)
     assert sieve.findings.found.share_tested < 0.7
@@ -115,7 +116,7 @@ def test_the_same_seed_gives_the_same_verdicts(seen: list, path: str) -> None:
 
 def test_a_poor_guess_of_the_pose_changes_little(seen: list) -> None:
     good = run(CompensatedHomographyConfig(), seen)[1:]
-    sieve = CompensatedHomographyConfig().build(0)
+    sieve = CompensatedHomographyConfig().build(parts())
     off = se3.exp(np.array([0.02, -0.01, 0.01, 0.004, -0.008, 0.005]))
     for k, (frame, T_cam_world) in enumerate(seen):
         motion = ask(sieve, frame, off @ T_cam_world, stage=Stage.MOTION_MODEL)
@@ -125,7 +126,7 @@ def test_a_poor_guess_of_the_pose_changes_little(seen: list) -> None:
 
 
 def test_all_stages_of_an_image_say_the_same_and_examine_it_once(seen: list) -> None:
-    sieve = CompensatedHomographyConfig().build(0)
+    sieve = CompensatedHomographyConfig().build(parts())
     ask(sieve, *seen[0])
     frame, T_cam_world = seen[1]
     first = ask(sieve, frame, T_cam_world, stage=Stage.MOTION_MODEL)
@@ -151,7 +152,7 @@ def test_masks_go_whole_and_geometry_adds_what_they_lack(seen: list) -> None:
 
 
 def test_off_where_too_few_matches_would_stay(seen: list) -> None:
-    sieve = CompensatedHomographyConfig().build(0)
+    sieve = CompensatedHomographyConfig().build(parts())
     frame, T_cam_world = seen[0]
     ids = np.full(len(frame), -1, np.int32)
     ids[:50] = np.arange(50)
@@ -163,7 +164,7 @@ def test_off_where_too_few_matches_would_stay(seen: list) -> None:
 
 def test_an_empty_room_is_static() -> None:
     dataset = select(open_dataset("synthetic:empty,frames=40,cache=off"), "20:32")
-    orb, sieve = OrbConfig().build(dataset.camera), CompensatedHomographyConfig().build(0)
+    orb, sieve = OrbConfig().build(parts(dataset.camera)), CompensatedHomographyConfig().build(parts())
     poses = dataset.groundtruth.T_world_cam[20:32]
     wrong = n = 0
     for k in range(0, 12, 3):
@@ -177,7 +178,7 @@ def test_an_empty_room_is_static() -> None:
 @pytest.mark.parametrize("said", [True, False])
 def test_what_is_remembered_follows_a_map_that_jumps(seen: list, said: bool) -> None:
     """The pose then is a guess of the motion between the images; far off, nothing is found again."""
-    stays, jumps = (CompensatedHomographyConfig().build(0) for _ in range(2))
+    stays, jumps = (CompensatedHomographyConfig().build(parts()) for _ in range(2))
     world, jump = Map(seen[0][0].scales), se3.exp(np.array([0.5, -0.2, 0.3, 0.1, 0.6, -0.2]))
     for k, (frame, T_cam_world) in enumerate(seen):
         expected = ask(stays, frame, T_cam_world)
@@ -200,7 +201,7 @@ def test_what_is_remembered_follows_a_map_that_jumps(seen: list, said: bool) -> 
 
 
 def test_the_motion_and_the_homography_are_the_true_ones(seen: list) -> None:
-    sieve = CompensatedHomographyConfig().build(0)
+    sieve = CompensatedHomographyConfig().build(parts())
     for frame, T_cam_world in seen[:2]:
         ask(sieve, frame, T_cam_world)
     found = sieve.findings.camera_motion
@@ -218,7 +219,7 @@ def test_compensation_is_better_than_the_plain_homography_on_the_same_pairs(seen
     rms = {}
     for refine in (False, True):
         compensation = CompensationConfig(magsac=False, refine=refine)
-        sieve = CompensatedHomographyConfig(compensation=compensation).build(0)
+        sieve = CompensatedHomographyConfig(compensation=compensation).build(parts())
         for frame, T_cam_world in seen:
             ask(sieve, frame, T_cam_world)
         rms[refine] = np.median(
@@ -280,4 +281,4 @@ def test_probes_are_spread_and_those_with_depth_come_first() -> None:
 
 def test_an_unknown_search_is_refused() -> None:
     with pytest.raises(ConfigError, match="search is 'random'; it must be one of reverse, exhaustive"):
-        CompensatedHomographyConfig(search="random").build()
+        CompensatedHomographyConfig(search="random").build(parts())

@@ -136,7 +136,7 @@ def test_the_numbers_are_those_of_the_reference() -> None:
 def asked(
     config: MultiViewConfig, semantics: Semantics | None = None, stage: Stage = Stage.LOCAL_MAP, z_m: float = 1.5
 ) -> tuple[Motion, MultiViewSieve]:
-    sieve, world = config.build(seed=0), Map(SCALES)
+    sieve, world = config.build(), Map(SCALES)
     nothing = Matches.of(np.full(0, -1, np.int32))
     for index in range(2):
         frame, _ = WORLD.look(pose(0.02 * index), index=index)
@@ -175,7 +175,7 @@ def test_geometry_waits_for_a_pose(stage: Stage) -> None:
 
 @pytest.mark.parametrize("away_m", [0.0, 0.01, 0.3])
 def test_what_low_cost_tracking_found_holds_as_long_as_its_pose_does(away_m: float) -> None:
-    sieve, world, nothing = BY_GEOMETRY.build(seed=0), Map(SCALES), Matches.of(np.full(0, -1, np.int32))
+    sieve, world, nothing = BY_GEOMETRY.build(), Map(SCALES), Matches.of(np.full(0, -1, np.int32))
     empty, _ = WORLD.look(pose(), index=0)
     empty = before_the_wall(empty, pose(), None, 1.5)
     ask(sieve, Stage.LOCAL_MAP, empty, nothing, no_semantics(), np.eye(4), world)

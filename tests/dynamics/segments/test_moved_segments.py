@@ -63,7 +63,7 @@ def during(play: Play, seconds: float, *things: Thing) -> None:
 
 @pytest.fixture
 def play() -> Play:
-    return Play(MovedSegmentsConfig().build(0))
+    return Play(MovedSegmentsConfig().build())
 
 
 @pytest.mark.parametrize("look", [show, Play.show], ids=["painted", "plain"])
@@ -177,14 +177,14 @@ def test_what_is_remembered_follows_a_map_that_jumps(play: Play) -> None:
     for _ in range(3):
         motion, _ = show(play, CHAIR, T_world_cam=jump @ HOME)
         assert not motion.moving.any()
-    still = Play(MovedSegmentsConfig().build(0), small=play.small)
+    still = Play(MovedSegmentsConfig().build(), small=play.small)
     during(still, 1.0, CHAIR)
     moved = [show(still, CHAIR, T_world_cam=jump @ HOME)[0].moving.any() for _ in range(3)]
     assert any(moved), "a map that did not say so would make everything move"
 
 
 def test_a_chair_that_is_pushed_while_the_map_jumps_is_found_as_if_it_had_not() -> None:
-    stays, jumps = (Play(MovedSegmentsConfig().build(0)) for _ in range(2))
+    stays, jumps = (Play(MovedSegmentsConfig().build()) for _ in range(2))
     jump = pose(0.5, 0.1, turn=(0.0, 0.6, 0.0))
     for step in range(16):
         if step == 8:

@@ -20,6 +20,7 @@ from stillroom.dynamics.homography.sieve import CompensatedHomographyConfig, Fin
 from stillroom.dynamics.multiview.geometry import DYNAMIC, Geometry, GeometryConfig, PointsInView
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import I64, Bool
+from stillroom.protocols import Parts
 from stillroom.schedule import Done
 from stillroom.system import Slam
 
@@ -87,8 +88,9 @@ class GeometryOnlooker:
     def __init__(self, config: GeometryTrialConfig, slam: Slam, seed: int) -> None:
         """Start without a past."""
         self.config, self._slam, self._seed = config, slam, seed
-        self._sieve = replace(config.homography, search=EXHAUSTIVE).build(seed)
-        self._asking = Asking(self._sieve)
+        parts = Parts(slam.mapper.camera, slam.map, seed)
+        self._sieve = replace(config.homography, search=EXHAUSTIVE).build(parts)
+        self._asking = Asking(self._sieve, slam.map)
         keyframes = replace(config.multi_view.keyframes, grid_px=0)
         self._multi_view = replace(config.multi_view, keyframes=keyframes).build()
         self._jumps = JumpFollower()
@@ -115,7 +117,7 @@ class GeometryOnlooker:
             self._compare(findings, seen, known.movable if known.has_any else None)
         keyframe = tracked.reference_keyframe if result.is_keyframe else -1
         self._multi_view.views.note(frame, T_cam_world, tracked.motion.moving, keyframe)
-        self._asking.remember(frame, T_cam_world, keyframe, world)
+        self._asking.remember(frame, T_cam_world, keyframe)
 
     def close(self) -> None:
         """Nothing is left open."""

@@ -16,6 +16,7 @@ from stillroom.dynamics.depth_history import DepthHistory, DepthHistoryConfig
 from stillroom.dynamics.epipolar import EpipolarConfig
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64
+from stillroom.protocols import Parts
 
 SAME_M, SAME_RAD = 0.01, 0.003
 """Poses this close to each other see the same past: a centimetre at three metres."""
@@ -61,9 +62,9 @@ class ClusterSieveConfig:
     reach_m: float = 0.3
     margin_px: int = 8
 
-    def build(self, seed: int = 0) -> "ClusterSieve":
+    def build(self, parts: Parts) -> "ClusterSieve":
         """Return the sieve."""
-        return ClusterSieve(self, seed)
+        return ClusterSieve(self, parts.seed)
 
 
 @dataclass(frozen=True)
@@ -85,7 +86,7 @@ class ClusterSieve:
     def __init__(self, config: ClusterSieveConfig, seed: int = 0) -> None:
         """Start without a past."""
         self.config = config
-        self._boxes = config.boxes.build(seed)
+        self._boxes = config.boxes.build()
         self._history = DepthHistory(config.history)
         self._sampler = Sampler()
         self._belief = Belief(config.fades_in_s, config.reach_m)

@@ -18,6 +18,7 @@ from stillroom.dynamics.homography.point_motion import DYNAMIC, UNKNOWN, PointTe
 from stillroom.errors import ConfigError
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F32, F64, I64, U8, Bool
+from stillroom.protocols import Parts
 
 SEARCHES = ("reverse", "exhaustive")
 
@@ -53,15 +54,15 @@ class CompensatedHomographyConfig:
     test: PointTestConfig = field(default_factory=PointTestConfig)
     ants: ReverseSearchConfig = field(default_factory=ReverseSearchConfig)
 
-    def build(self, seed: int = 0) -> "CompensatedHomographySieve":
-        """Return the sieve; the seed is that of MAGSAC and of the ants.
+    def build(self, parts: Parts) -> "CompensatedHomographySieve":
+        """Return the sieve; its seed is that of MAGSAC and of the ants.
 
         Raises:
             ConfigError: There is no such search.
         """
         if self.search not in SEARCHES:
             raise ConfigError(f"search is '{self.search}'; it must be one of {', '.join(SEARCHES)}")
-        return CompensatedHomographySieve(self, seed)
+        return CompensatedHomographySieve(self, parts.seed)
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from stillroom.dynamics.multiview.geometry import GeometryConfig
 from stillroom.dynamics.multiview.views import CHOICES
 from stillroom.errors import ConfigError
 from stillroom.geometry.arrays import F64, U8, Bool
+from stillroom.protocols import Parts
 
 UNION, GEOMETRY_FIRST = "union", "geometry-first"
 COMBINATIONS = (UNION, GEOMETRY_FIRST)
@@ -47,7 +48,7 @@ class MultiViewConfig:
     dilation_px: int = 6
     test: GeometryConfig = field(default_factory=GeometryConfig)
 
-    def build(self, seed: int = 0) -> "MultiViewSieve":
+    def build(self, parts: Parts | None = None) -> "MultiViewSieve":
         """Return the sieve.
 
         Raises:

@@ -19,6 +19,7 @@ from stillroom.dynamics.homography.point_motion import DYNAMIC, STATIC, UNKNOWN,
 from stillroom.errors import ConfigError
 from stillroom.geometry import homography, se3
 from stillroom.geometry.arrays import F64, I64, Bool
+from stillroom.protocols import Parts
 
 NEAR = 0.02, 0.01
 """Metres and radians that a pose may move after low-cost tracking before segments are tested again."""
@@ -70,7 +71,7 @@ class MovedSegmentsConfig:
     margin_px: int = 8
     test: PointTestConfig = field(default_factory=PointTestConfig)
 
-    def build(self, seed: int = 0) -> "MovedSegments":
+    def build(self, parts: Parts | None = None) -> "MovedSegments":
         """Return the sieve; nothing in it is drawn by lot.
 
         Raises:

@@ -10,6 +10,7 @@ from stillroom.features.places.place_index import PlaceIndex
 from stillroom.features.places.training import TrainingConfig, grow
 from stillroom.features.places.vocabulary import Bag, Vocabulary, load_vocabulary
 from stillroom.geometry.arrays import I32, Bool
+from stillroom.protocols import Parts
 
 
 @dataclass(frozen=True)
@@ -26,13 +27,13 @@ class PlacesConfig:
     grow_every: int = 0
     growth: TrainingConfig = field(default_factory=lambda: TrainingConfig(depth=6, min_descriptors=50))
 
-    def build(self, world: Map) -> "PlaceMemory":
+    def build(self, parts: Parts) -> "PlaceMemory":
         """Return the memory of a map's places, empty.
 
         Raises:
             VocabularyError: The vocabulary cannot be read.
         """
-        return PlaceMemory(load_vocabulary(self.vocabulary), world, self)
+        return PlaceMemory(load_vocabulary(self.vocabulary), parts.world, self)
 
 
 class PlaceMemory:

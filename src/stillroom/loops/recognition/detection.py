@@ -9,6 +9,7 @@ from stillroom.features.places.candidates import best_places
 from stillroom.features.places.place_index import Resemblance
 from stillroom.features.places.place_memory import PlaceMemory
 from stillroom.loops.recognition.consistency import ConsistentGroups
+from stillroom.protocols import Parts
 
 
 @dataclass(frozen=True)
@@ -25,9 +26,9 @@ class DetectionConfig:
     consistent_keyframes: int = 3
     max_candidates: int = 3
 
-    def build(self, places: PlaceMemory, world: Map) -> "LoopDetector":
+    def build(self, parts: Parts, places: PlaceMemory) -> "LoopDetector":
         """Return the detector of a map."""
-        return LoopDetector(self, places, world)
+        return LoopDetector(self, places, parts.world)
 
 
 class LoopDetector:

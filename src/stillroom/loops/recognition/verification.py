@@ -15,6 +15,7 @@ from stillroom.geometry.camera import Camera
 from stillroom.geometry.rigid import fit_rigid_robustly
 from stillroom.optimize import measurements
 from stillroom.optimize.pose import PoseOptimizer
+from stillroom.protocols import Parts
 
 _CHI2_RANSAC = 9.21
 """99 % at two degrees of freedom: what a matched pair may be off in either image (ORB-SLAM2)."""
@@ -40,9 +41,9 @@ class VerificationConfig:
     min_total: int = 40
     min_share: float = 0.1
 
-    def build(self, camera: Camera, seed: int) -> "Verifier":
-        """Return the verifier; all that it draws by lot comes from the seed."""
-        return Verifier(self, camera, seed)
+    def build(self, parts: Parts) -> "Verifier":
+        """Return the verifier; its random choices start from the seed."""
+        return Verifier(self, parts.camera, parts.seed)
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ from pathlib import Path
 from stillroom.data.cloud.dense_cloud import DenseCloud
 from stillroom.dense.dense_mapper import DenseMapperConfig
 from stillroom.errors import MapError
+from stillroom.protocols import Parts
 from stillroom.storage.reader import keyframe_images
 from stillroom.storage.stored import StoredMap
 
@@ -23,7 +24,7 @@ def dense_cloud(path: Path, stored: StoredMap, config: DenseMapperConfig | None 
     """
     # A keyframe that is out of date is no witness here: all are fused under their last poses.
     config = config or replace(DenseMapperConfig(), correction_m=0.0, corrections=0)
-    mapper, n_fused = config.build(stored.camera, stored.world), 0
+    mapper, n_fused = config.build(Parts(stored.camera, stored.world)), 0
     for keyframe, image in keyframe_images(path):
         mapper.integrate(keyframe, image)
         n_fused += 1

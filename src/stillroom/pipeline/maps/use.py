@@ -13,7 +13,7 @@ from stillroom.errors import MapError
 from stillroom.features.places.vocabulary import load_vocabulary
 from stillroom.geometry.camera import Camera
 from stillroom.pipeline.provenance import provenance
-from stillroom.protocols import Dataset
+from stillroom.protocols import Dataset, Parts
 from stillroom.storage.keeper import MapKeeper
 from stillroom.storage.opening import inspect, require_unused
 from stillroom.storage.reader import load_map
@@ -112,7 +112,9 @@ def opened_map(file: MapFile | None, config: SlamConfig, dataset: Dataset) -> It
         world, writer = stored.world, MapWriter.go_on(file.path, stored.world)
     try:
         number = writer.begin(_session(world, config, dataset))
-        yield OpenedMap(world, config.storage.build(writer, number, dataset.camera), file.path)
+        yield OpenedMap(
+            world, config.storage.build(Parts(dataset.camera, world, config.seed), writer, number), file.path
+        )
     except BaseException:
         writer.abandon()
         if file.use is MapUse.NEW and len(world.keyframes) == 0:

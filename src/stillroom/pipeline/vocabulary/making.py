@@ -5,12 +5,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from stillroom import __version__
+from stillroom.data.map import Map
 from stillroom.errors import FrameError, VocabularyError
 from stillroom.features.orb import OrbConfig
 from stillroom.features.places.training import TrainingConfig, grow, train
 from stillroom.features.places.vocabulary import Vocabulary
 from stillroom.geometry.arrays import U8
-from stillroom.protocols import Dataset
+from stillroom.protocols import Dataset, Parts
 
 CARD = ".txt"
 """What is added to a vocabulary's file name for its card."""
@@ -98,7 +99,8 @@ def read_source(
         features: How keypoints are found.
         told: Called after each image.
     """
-    extractor = (features or OrbConfig()).build(dataset.camera)
+    features = features or OrbConfig()
+    extractor = features.build(Parts(dataset.camera, Map(features.scales)))
     images, n_unreadable = [], 0
     for place in range(0, len(dataset), every):
         try:

@@ -9,7 +9,7 @@ from stillroom.data.image import RgbdImage
 from stillroom.data.locations import cache_folder, models_folder, models_home
 from stillroom.data.semantics import Semantics
 from stillroom.errors import ConfigError, WeightsError
-from stillroom.protocols import Segmenter
+from stillroom.protocols import Parts, Segmenter
 from stillroom.semantics.masks.carry import MaskCarryConfig
 from stillroom.semantics.masks.class_names import VOC_CLASSES, channels_of
 from stillroom.semantics.masks.late import LateMasks
@@ -66,7 +66,7 @@ class OnnxMasksConfig:
     carry: MaskCarryConfig = field(default_factory=MaskCarryConfig)
     regions: RegionsConfig = field(default_factory=RegionsConfig)
 
-    def build(self) -> Segmenter:
+    def build(self, parts: Parts | None = None) -> Segmenter:
         """Return the segmenter.
 
         Raises:

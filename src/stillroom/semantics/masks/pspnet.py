@@ -11,7 +11,7 @@ import numpy as np
 
 from stillroom.errors import ConfigError, WeightsError
 from stillroom.geometry.arrays import F32, U8
-from stillroom.protocols import Segmenter
+from stillroom.protocols import Parts, Segmenter
 from stillroom.semantics.masks.carry import MaskCarryConfig
 from stillroom.semantics.masks.class_names import VOC_CLASSES, channels_of
 from stillroom.semantics.masks.network import LOGITS, Reading, SegmentationNetwork
@@ -55,7 +55,7 @@ class PspNetConfig:
     carry: MaskCarryConfig = field(default_factory=MaskCarryConfig)
     regions: RegionsConfig = field(default_factory=RegionsConfig)
 
-    def build(self) -> Segmenter:
+    def build(self, parts: Parts | None = None) -> Segmenter:
         """Return the segmenter.
 
         Raises:

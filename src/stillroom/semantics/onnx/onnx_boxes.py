@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from stillroom.errors import ConfigError
-from stillroom.protocols import Segmenter
+from stillroom.protocols import Parts, Segmenter
 from stillroom.semantics.carried_boxes import CarriedBoxes, CarryConfig
 from stillroom.semantics.darknet.cfg import read_cfg
 from stillroom.semantics.darknet.heads import DarknetHeads
@@ -67,7 +67,7 @@ class OnnxBoxesConfig:
     coordinates: str = PIXELS
     carry: CarryConfig = field(default_factory=CarryConfig)
 
-    def build(self) -> Segmenter:
+    def build(self, parts: Parts | None = None) -> Segmenter:
         """Return the segmenter.
 
         Raises:

@@ -200,7 +200,8 @@ def build(
         segmenter: Says what may move; the config's where not given.
         schedule: When work runs; in order where not given.
         observer: Who looks on; nobody where not given.
-        clock: Notes what the stages cost. `tracking` includes `dynamics`, the time of sieve 2.
+        clock: Notes what the stages cost. `tracking` includes `dynamics`, the time of sieve 2;
+            what it does when the frame is done is `memory`.
         world: The map of an earlier run to go on in; a new one where not given.
         keeper: Keeps the map beyond the run; nobody does where not given.
 
@@ -213,7 +214,7 @@ def build(
     world = world or Map(config.features.scales)
     parts = Parts(camera, world, config.seed, clock)
     segmenter = segmenter or config.semantics.build(parts)
-    sieve = timed_part(Asking(config.dynamics.build(parts), world), clock, judge="dynamics", remember="dynamics")
+    sieve = timed_part(Asking(config.dynamics.build(parts), world), clock, judge="dynamics", remember="memory")
     tracker = config.tracking.build(parts, sieve, config.low_cost.build(parts, sieve))
     places = config.places.build(parts)
     places.remember_all()

@@ -115,7 +115,6 @@ REQUESTS: dict[str, tuple[list[str], list[str]]] = {
     "a value of the wrong type": (["{room}", "--set", "seed=x"], ["'seed' is 'x'", "whole number"]),
     "no value": (["{room}", "--set", "seed"], ["'seed' sets nothing"]),
     "a config file that is missing": (["{room}", "--config", "mine.toml"], ["mine.toml: no such config file"]),
-    "the live schedule": (["{room}", "--schedule", "live"], ["--schedule live", "not in this version"]),
     "frames that do not exist": (["{room}", "--frames", "200:300"], ["frames 200:300", "0 to 23"]),
     "frames that are no range": (["{room}", "--frames", "12"], ["'12' is no range of frames"]),
     "nothing left": (["{room}", "--drop", ":"], ["leaves no image"]),

@@ -96,7 +96,7 @@ def test_version(stillroom: Callable) -> None:
 
 
 def test_wrong_usage_is_no_error_of_ours(stillroom: Callable) -> None:
-    for arguments in (["run"], ["fly"], ["run", "x", "--no-such-option"], ["run", "x", "--schedule", "later"]):
+    for arguments in (["run"], ["fly"], ["run", "x", "--no-such-option"]):
         said = stillroom(*arguments)
         assert said.code == 2
         assert "Usage" in said.err
@@ -149,7 +149,6 @@ def test_run_does_what_its_options_say(done: Path) -> None:
     source = {"sequence": "synthetic:empty", "camera": "", "fps": "", "frames": "0:32", "reverse": False}
     assert config["run"]["source"] == source | {"drop": ["20:21"], "blackout": ["25:26"]}
     assert config["run"]["detector_off"] == ["10:12"]
-    assert config["run"]["schedule"] == "in-order"
     times = read_tum(done / "trajectory.tum").timestamps_s
     assert len(times) == 30
     metrics = json.loads((done / "metrics.json").read_text(encoding="utf-8"))

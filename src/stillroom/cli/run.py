@@ -1,6 +1,5 @@
 """`stillroom run`."""
 
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -30,13 +29,6 @@ Localize = Annotated[
 ]
 
 
-class ScheduleName(StrEnum):
-    """When stages run."""
-
-    IN_ORDER = "in-order"
-    LIVE = "live"
-
-
 def run(
     sequence: Annotated[
         str, typer.Argument(metavar="SEQUENCE", help="A folder, an archive, a known name, or synthetic:walking.")
@@ -57,9 +49,6 @@ def run(
     continue_: Continue = False,
     localize: Localize = False,
     seed: Seed = None,
-    schedule: Annotated[
-        ScheduleName, typer.Option(help="in-order: the same input gives the same bytes; live is not there yet.")
-    ] = ScheduleName.IN_ORDER,
     camera: Annotated[
         str | None, typer.Option(metavar="NAME|FILE", help="The calibration, where it is not the sequence's own.")
     ] = None,
@@ -77,22 +66,20 @@ def run(
 
     Writes trajectory, figures and pictures into a folder in results/; Ctrl-C ends a run early and keeps what there is.
 
-    An archive is unpacked once into the user's cache, ~/.cache/stillroom/unpacked, and stays there until you delete it.
+    An archive is unpacked once into the user's cache and stays there until you delete it.
 
         stillroom run rgbd_bonn_crowd --method oc-slam
         stillroom run synthetic:walking --frames 0:90 --set semantics.kind=truth
         stillroom run rgbd_bonn_crowd --frames :200 --map room.stillmap
         stillroom run rgbd_bonn_crowd --frames 200: --map room.stillmap --localize
     """
-    if schedule is ScheduleName.LIVE:
-        raise ConfigError("--schedule live is not in this version; leave it out, or say in-order")
     from stillroom.methods.registry import configure
     from stillroom.pipeline import Source
 
     chosen = configure(method, config, settings or (), seed)
     source = Source(sequence, camera, fps, frames, tuple(drop or ()), tuple(blackout or ()), reverse)
     map_file = _map_file(map_, continue_, localize)
-    _track(chosen, source, out, pictures, tuple(detector_off or ()), schedule, map_file)
+    _track(chosen, source, out, pictures, tuple(detector_off or ()), map_file)
 
 
 def _map_file(path: Path | None, continue_: bool, localize: bool) -> "MapFile | None":
@@ -117,7 +104,6 @@ def _track(
     out: Path | None,
     pictures: int,
     detector_off: tuple[str, ...],
-    schedule: ScheduleName,
     map_file: "MapFile | None",
 ) -> None:
     from stillroom.cli.output.console import STDERR, say, show_log
@@ -137,7 +123,7 @@ def _track(
         detector_off=detector_ranges(detector_off, dataset),
         segmenter=segmenter_of(chosen, dataset.camera),  # now: what is absent is told before kernels are compiled
         source=source,
-        asked={"schedule": schedule.value, **(map_file.described() if map_file else {})},
+        asked=map_file.described() if map_file else {},
         map=map_file,
     )
     say(f"{chosen.method} on {dataset.name}: {len(dataset)} images; camera: {dataset.camera_source}")

@@ -13,53 +13,53 @@ BONN = "rgbd_bonn_crowd_first560"
 FREIBURG1 = "rgbd_dataset_freiburg1_rpy_first150"
 
 
-def _folder(variable: str, default: str) -> Path | None:
-    named = os.environ.get(variable)
-    folder = Path(named) if named else ROOT.parent / "shared" / default
-    return folder if folder.is_dir() else None
+# Where nothing else is said, real data beside the repository is used, also by the programs that tests start.
+for variable, kind in (("STILLROOM_DATA", "data"), ("STILLROOM_MODELS", "models")):
+    if not os.environ.get(variable) and (beside := ROOT.parent / "shared" / kind).is_dir():
+        os.environ[variable] = str(beside)
 
 
-def _required(variable: str, default: str, relative: str) -> Path:
-    folder = _folder(variable, default)
-    if folder is None or not (folder / relative).exists():
+def _required(variable: str, relative: str) -> Path:
+    found = Path(os.environ.get(variable, "")) / relative
+    if not os.environ.get(variable) or not found.exists():
         pytest.skip(f"{relative} not found; set {variable} to the folder that holds it")
-    return folder / relative
+    return found
 
 
 @pytest.fixture(scope="session")
 def bonn() -> Path:
     """The Bonn stretch: 560 real frames with people in them."""
-    return _required("STILLROOM_DATA", "data", BONN)
+    return _required("STILLROOM_DATA", BONN)
 
 
 @pytest.fixture(scope="session")
 def freiburg1() -> Path:
     """The fr1 stretch: 150 real frames, static, hand-held rotations."""
-    return _required("STILLROOM_DATA", "data", FREIBURG1)
+    return _required("STILLROOM_DATA", FREIBURG1)
 
 
 @pytest.fixture(scope="session")
 def yolo_weights() -> Path:
     """The folder with YOLO-Fastest's cfg, weights and names."""
-    return _required("STILLROOM_MODELS", "models", "yolo_fastest")
+    return _required("STILLROOM_MODELS", "yolo_fastest")
 
 
 @pytest.fixture(scope="session")
 def deeplab() -> Path:
     """DeepLabv3 on MobileNetV2, an ONNX file with the 21 VOC classes."""
-    return _required("STILLROOM_MODELS", "models", "deeplabv3_mobilenetv2_voc.onnx")
+    return _required("STILLROOM_MODELS", "deeplabv3_mobilenetv2_voc.onnx")
 
 
 @pytest.fixture(scope="session")
 def mobilenet_backbone() -> Path:
     """That network's backbone, an .npz file."""
-    return _required("STILLROOM_MODELS", "models", "mobilenetv2_voc_backbone.npz")
+    return _required("STILLROOM_MODELS", "mobilenetv2_voc_backbone.npz")
 
 
 @pytest.fixture(scope="session")
 def person_masks() -> Path:
     """370 pictures of people with pixel masks."""
-    return _required("STILLROOM_DATA", "data", "person_masks")
+    return _required("STILLROOM_DATA", "person_masks")
 
 
 REAL_FIXTURES = {"bonn", "freiburg1", "yolo_weights", "deeplab", "mobilenet_backbone", "person_masks"}

@@ -1,32 +1,30 @@
-"""Where models and sequences are sought: the variable, the cache, the shared folder, in this order."""
+"""Where models and sequences are sought: the variable, then the cache."""
 
 from pathlib import Path
 
 import pytest
 
-from stillroom.data.locations import cache_folder, data_home, models_folder, models_home, sequence_path
+from stillroom.data.locations import cache_folder, data_home, model_path, models_home, sequence_path
 
 
 @pytest.fixture
-def places(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Path, Path, Path]:
-    named, cache, shared = tmp_path / "named", tmp_path / "cache/stillroom/models", tmp_path / "shared/models"
+def places(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Path, Path]:
+    named, cache = tmp_path / "named", tmp_path / "cache/stillroom/models"
     monkeypatch.setenv("STILLROOM_MODELS", str(named))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    (tmp_path / "project").mkdir()
-    monkeypatch.chdir(tmp_path / "project")
-    return named, cache, shared
+    return named, cache
 
 
-def test_the_first_that_exists_wins(places: tuple[Path, Path, Path]) -> None:
-    assert models_folder("net") is None
+def test_the_first_that_exists_wins(places: tuple[Path, Path]) -> None:
+    assert model_path("net") is None
     for place in reversed(places):
         (place / "net").mkdir(parents=True)
-        found = models_folder("net")
+        found = model_path("net")
         assert found is not None
         assert found.resolve() == (place / "net").resolve()
 
 
-def test_downloads_go_where_the_search_begins(places: tuple[Path, Path, Path], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_downloads_go_where_the_search_begins(places: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch) -> None:
     assert models_home() == places[0]
     monkeypatch.delenv("STILLROOM_MODELS")
     assert models_home() == places[1]

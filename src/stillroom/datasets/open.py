@@ -19,8 +19,8 @@ def open_dataset(path_or_name: str, camera: str | None = None, fps: float | None
     """Open a sequence.
 
     Args:
-        path_or_name: A folder; an archive of one; the bare name of one in `STILLROOM_DATA`, in the cache or in
-            `../shared/data`; or `synthetic:…` for a rendered one.
+        path_or_name: A folder; an archive of one; the bare name of one in `STILLROOM_DATA` or in the cache; or
+            `synthetic:…` for a rendered one.
         camera: The calibration asked for, a name or a file. Where not given: the sequence's own `camera.toml`, else
             the one that goes with the name of a known data set. `camera_source` of the result says which it was.
         fps: Frames per second [1/s], for a plain folder whose file names do not tell the time.

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from stillroom.data.locations import cache_folder, models_folder, models_home
+from stillroom.data.locations import model_folders, model_path
 from stillroom.errors import ConfigError, WeightsError
 from stillroom.protocols import Parts, Segmenter
 from stillroom.semantics.carried_boxes import CarriedBoxes, CarryConfig
@@ -80,11 +80,10 @@ def find_folder(named: str = "") -> Path:
     Raises:
         WeightsError: There is none; the message says where it was looked for.
     """
-    folder = Path(named) if named else models_folder(FOLDER)
+    folder = Path(named) if named else model_path(FOLDER)
     if folder is not None and folder.is_dir():
         return folder
-    usual = dict.fromkeys((models_home(), cache_folder() / "models", Path("../shared/models")))
-    places = named or ", ".join(str(place / FOLDER) for place in usual)
+    places = named or ", ".join(str(place / FOLDER) for place in model_folders())
     raise WeightsError(
         f"YOLO-Fastest's weights are not in {places}; fetch them with 'stillroom download models', "
         f"or set STILLROOM_MODELS to the folder that holds {FOLDER}"

@@ -174,10 +174,10 @@ def _sequence(name: str) -> Path:
 
 
 def _model(name: str) -> Path:
-    from stillroom.data.locations import models_folder
+    from stillroom.data.locations import model_path
     from stillroom.errors import WeightsError
 
-    found = models_folder(name)
+    found = model_path(name)
     if found is None:
         raise WeightsError(f"no {name}; set STILLROOM_MODELS to the folder that holds it")
     return found

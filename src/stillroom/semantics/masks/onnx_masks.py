@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from stillroom.data.image import RgbdImage
-from stillroom.data.locations import cache_folder, models_folder, models_home
+from stillroom.data.locations import model_folders, model_path
 from stillroom.data.semantics import Semantics
 from stillroom.errors import ConfigError, WeightsError
 from stillroom.protocols import Parts, Segmenter
@@ -113,11 +113,10 @@ def find_model(named: Path | None) -> Path:
     if named is not None and named.is_file():
         return named
     name = DEEPLAB if named is None else str(named)
-    found = models_folder(name)
+    found = model_path(name)
     if found is not None and found.is_file():
         return found
-    places = list(dict.fromkeys((models_home(), cache_folder() / "models", Path("../shared/models"))))
-    looked = ([] if named is None else [name]) + [str(place / name) for place in places]
+    looked = ([] if named is None else [name]) + [str(place / name) for place in model_folders()]
     raise WeightsError(
         f"no such network: {', '.join(looked)}; set semantics.model to an ONNX file, "
         f"or STILLROOM_MODELS to the folder that holds {Path(name).name}"

@@ -19,6 +19,7 @@ LEVELS = {
     "data": 1,
     "protocols": 2,
     "schedule": 2,
+    "plugins": 2,
     "features": 3,
     "optimize": 3,
     "datasets": 4,

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from stillroom import plugins
 from stillroom.config import SlamConfig, to_toml, updated
 from stillroom.config.kinds import DYNAMICS, ChainConfig
 from stillroom.dense.dense_mapper import DenseMapperConfig
@@ -33,9 +34,9 @@ IMPOSTOR = Method("oc-slam", "takes a name that is taken", SlamConfig(method="oc
 
 
 def install(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
-    entry = EntryPoint("mine", f"{__name__}:{name}", registry.GROUP)
+    entry = EntryPoint("mine", f"{__name__}:{name}", registry.PLUGINS.group)
     monkeypatch.setattr(EntryPoint, "load", lambda self: globals()[self.attr])
-    monkeypatch.setattr(registry, "entry_points", lambda group: EntryPoints([entry]).select(group=group))
+    monkeypatch.setattr(plugins, "entry_points", lambda group: EntryPoints([entry]).select(group=group))
 
 
 def test_the_presets_are_rows_of_the_table() -> None:

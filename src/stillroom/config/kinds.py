@@ -1,13 +1,16 @@
 """Which parts can stand in a socket of the configuration, and by what names they are called.
 
-A part of your own needs no entry here: `kind = "my_package.my_module:MyConfig"` finds its config class by import.
+A part of your own needs no entry here: `kind = "my_package.my_module:MyConfig"` finds its config class by import, and
+an entry point of the groups `stillroom.segmenters` and `stillroom.sieves` (match sieves) gives it a name of its own.
 """
 
 import dataclasses
 import importlib
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from difflib import get_close_matches
+from importlib.metadata import EntryPoint
 from typing import Any, Protocol
 
 from stillroom.dense.dense_mapper import DenseMapperConfig
@@ -24,6 +27,7 @@ from stillroom.dynamics.paper_epipolar import PaperEpipolarConfig
 from stillroom.dynamics.segments.sieve import MovedSegmentsConfig
 from stillroom.dynamics.whole_boxes import WholeBoxesConfig
 from stillroom.errors import ConfigError
+from stillroom.plugins import PluginGroup
 from stillroom.protocols import Clusterer, DenseMapping, KeypointSieve, MatchSieve, Parts, QuickTracking, Segmenter
 from stillroom.semantics.depth_clusters import DepthClustersConfig, NoClustersConfig
 from stillroom.semantics.mask_files import MaskFilesConfig
@@ -81,32 +85,55 @@ class QuickTrackingConfig(Protocol):
         """Return the part; it asks the sieve under the pose that it finds."""
 
 
+MUST_BE = "a dataclass with a build method"
+
+
+def _is_part(found: object) -> bool:
+    return isinstance(found, type) and dataclasses.is_dataclass(found) and hasattr(found, "build")
+
+
+SEGMENTERS: PluginGroup[type[Any]] = PluginGroup("stillroom.segmenters", "segmenter", MUST_BE, _is_part)
+SIEVES: PluginGroup[type[Any]] = PluginGroup("stillroom.sieves", "match sieve", MUST_BE, _is_part)
+
+
 @dataclass(frozen=True)
 class Kinds:
     """The parts that fit one section.
 
     Attributes:
         section: Name of the section.
-        classes: Config class by kind.
+        classes: Config class by kind: Stillroom's own.
+        group: Where installed packages add others; an entry point's name is the kind, its value the config class.
     """
 
     section: str
     classes: Mapping[str, type[Any]]
+    group: PluginGroup[type[Any]] | None = None
+
+    def names(self) -> list[str]:
+        """Return all kinds, Stillroom's own first.
+
+        Raises:
+            ConfigError: An installed package takes a name that is taken.
+        """
+        return [*self.classes, *self._installed()]
 
     def find(self, kind: str) -> type[Any]:
         """Return the config class of a kind, or of `module:Class`.
 
         Raises:
-            ConfigError: There is none.
+            ConfigError: There is none, or an installed package offers what cannot be used.
         """
+        installed = self._installed()
         if kind in self.classes:
             return self.classes[kind]
+        if kind in installed and self.group is not None:
+            return self.group.load(installed[kind])
         if ":" in kind:
             return self._imported(kind)
-        guess = get_close_matches(kind, self.classes, n=1, cutoff=0.0)[0]
-        raise ConfigError(
-            f"{self.section}.{KIND} is '{kind}'; did you mean '{guess}'? known: {', '.join(self.classes)}"
-        )
+        known = [*self.classes, *installed]
+        guess = get_close_matches(kind, known, n=1, cutoff=0.0)[0]
+        raise ConfigError(f"{self.section}.{KIND} is '{kind}'; did you mean '{guess}'? known: {', '.join(known)}")
 
     def name_of(self, config: object) -> str:
         """Return the kind of a config."""
@@ -114,7 +141,14 @@ class Kinds:
         for kind, known in self.classes.items():
             if known is own:
                 return kind
+        for kind, entry in self._installed().items():
+            # The class is there, so the module that offers it is loaded; no other package is worth importing for this.
+            if entry.module in sys.modules and entry.load() is own:
+                return kind
         return f"{own.__module__}:{own.__qualname__}"
+
+    def _installed(self) -> dict[str, EntryPoint]:
+        return {} if self.group is None else self.group.by_entry_name(self.classes)
 
     def _imported(self, kind: str) -> type[Any]:
         module, _, name = kind.partition(":")
@@ -122,9 +156,10 @@ class Kinds:
             found = getattr(importlib.import_module(module), name)
         except (ImportError, AttributeError, ValueError) as error:
             raise ConfigError(f"{self.section}.{KIND} is '{kind}', which cannot be imported ({error})") from error
-        if not (isinstance(found, type) and dataclasses.is_dataclass(found) and hasattr(found, "build")):
-            raise ConfigError(f"{self.section}.{KIND} is '{kind}'; it must be a dataclass with a build method")
-        return found
+        if not _is_part(found):
+            raise ConfigError(f"{self.section}.{KIND} is '{kind}'; it must be {MUST_BE}")
+        part: type[Any] = found
+        return part
 
 
 SEMANTICS = Kinds(
@@ -138,6 +173,7 @@ SEMANTICS = Kinds(
         "mask-files": MaskFilesConfig,
         "truth": TruthConfig,
     },
+    SEGMENTERS,
 )
 
 CLUSTERS = Kinds("clusters", {"nothing": NoClustersConfig, "depth": DepthClustersConfig})
@@ -172,10 +208,10 @@ class ChainConfig:
     """
 
     first: MatchSieveConfig = field(
-        default_factory=CompensatedHomographyConfig, metadata={"kinds": Kinds("dynamics.first", SINGLE_SIEVES)}
+        default_factory=CompensatedHomographyConfig, metadata={"kinds": Kinds("dynamics.first", SINGLE_SIEVES, SIEVES)}
     )
     second: MatchSieveConfig = field(
-        default_factory=MovedSegmentsConfig, metadata={"kinds": Kinds("dynamics.second", SINGLE_SIEVES)}
+        default_factory=MovedSegmentsConfig, metadata={"kinds": Kinds("dynamics.second", SINGLE_SIEVES, SIEVES)}
     )
 
     def build(self, parts: Parts) -> MatchSieve:
@@ -183,4 +219,4 @@ class ChainConfig:
         return Chain([self.first.build(parts), self.second.build(parts)], parts.world)
 
 
-DYNAMICS = Kinds("dynamics", {**SINGLE_SIEVES, "chain": ChainConfig})
+DYNAMICS = Kinds("dynamics", {**SINGLE_SIEVES, "chain": ChainConfig}, SIEVES)

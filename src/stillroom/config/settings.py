@@ -55,7 +55,7 @@ def to_toml(config: Any, provenance: Mapping[str, Any] | None = None) -> str:
     """
     values = to_values(config) | ({PROVENANCE: provenance} if provenance else {})
     remarks = {
-        f"{field.name}.{KIND}": " | ".join(kinds.classes)
+        f"{field.name}.{KIND}": " | ".join(kinds.names())
         for field in dataclasses.fields(config)
         if (kinds := _kinds(field)) is not None
     }

@@ -9,17 +9,19 @@ A package adds a method by an entry point of the group `stillroom.methods` that 
 from collections.abc import Iterable
 from dataclasses import replace
 from difflib import get_close_matches
-from importlib.metadata import entry_points
 from pathlib import Path
 
 from stillroom.config import SlamConfig, read_toml, updated, with_overrides
 from stillroom.errors import ConfigError
 from stillroom.methods import dynaslam, dynaslam_g, dynaslam_n, oc_slam, orb_slam2, pspnet_slam
 from stillroom.methods.method import Method
+from stillroom.plugins import PluginGroup
 
 __all__ = ["DEFAULT", "OWN", "Method", "all_methods", "configure", "method"]
 
-GROUP = "stillroom.methods"
+PLUGINS: PluginGroup[Method] = PluginGroup(
+    "stillroom.methods", "method", "a Method", lambda offered: isinstance(offered, Method)
+)
 OWN = (
     orb_slam2.METHOD,
     oc_slam.METHOD,
@@ -35,21 +37,9 @@ def all_methods() -> dict[str, Method]:
     """Return every method by name, the house's own first.
 
     Raises:
-        ConfigError: An installed package offers as a method what is none, or under a name that is taken.
+        ConfigError: What an installed package offers cannot be imported, is no method, or has a name that is taken.
     """
-    found = {own.name: own for own in OWN}
-    for entry in entry_points(group=GROUP):
-        origin = f"entry point '{entry.name}' of {entry.dist.name if entry.dist else 'an unknown package'}"
-        try:
-            offered = entry.load()
-        except (ImportError, AttributeError) as error:
-            raise ConfigError(f"{origin}: cannot be imported ({error}); mend or uninstall that package") from error
-        if not isinstance(offered, Method):
-            raise ConfigError(f"{origin}: '{entry.value}' is a {type(offered).__name__}; it must be a Method")
-        if offered.name in found:
-            raise ConfigError(f"{origin}: there is a method '{offered.name}' already; it needs another name")
-        found[offered.name] = offered
-    return found
+    return PLUGINS.all_with(OWN, lambda one: one.name)
 
 
 def method(name: str) -> Method:

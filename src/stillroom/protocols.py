@@ -33,7 +33,7 @@ from stillroom.data.question import Question
 from stillroom.data.result import FrameResult, Tracked
 from stillroom.data.semantics import Semantics
 from stillroom.data.trajectory import Trajectory
-from stillroom.geometry.arrays import F64, Bool
+from stillroom.geometry.arrays import F64, I64, Bool
 from stillroom.geometry.camera import Camera
 
 P = ParamSpec("P")
@@ -41,7 +41,10 @@ T = TypeVar("T")
 
 
 class Dataset(Protocol):
-    """A recorded (or rendered) RGB-D sequence with random access: `load` in any order, repeatedly."""
+    """A recorded (or rendered) RGB-D sequence with random access: `load` in any order, repeatedly.
+
+    `datasets.recording.Recording` has defaults for all but the first four and `load`.
+    """
 
     @property
     def name(self) -> str:
@@ -63,6 +66,25 @@ class Dataset(Protocol):
     def groundtruth(self) -> Trajectory | None:
         """True poses as the data set gives them, where it has any."""
 
+    @property
+    def groundtruth_at_camera(self) -> Trajectory | None:
+        """The same moved to the camera, where they are those of another body that rides on it; None otherwise."""
+
+    @property
+    def numbers(self) -> I64:
+        """Numbers (N,) of the images in the original sequence, increasing; those of `RgbdImage.index`.
+
+        They are the places 0 … N − 1 unless this is a part of another sequence.
+        """
+
+    @property
+    def original_length(self) -> int:
+        """Number of images of the original sequence, of which this may be a part."""
+
+    @property
+    def is_reversed(self) -> bool:
+        """Whether the original is played backwards: `numbers` and times count from its end."""
+
     def __len__(self) -> int:
         """Number of images."""
 
@@ -70,6 +92,7 @@ class Dataset(Protocol):
         """Return image `index`.
 
         Raises:
+            IndexError: There is no such image; −1 is none either.
             FrameError: This one image cannot be used; the run goes on without it.
         """
 

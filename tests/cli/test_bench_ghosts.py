@@ -16,6 +16,7 @@ from stillroom.benchmark.map_figures import HEADER, MapFigures
 from stillroom.benchmark.map_judges import RealJudge, TruthJudge
 from stillroom.cli.bench import app
 from stillroom.datasets.open import open_dataset
+from stillroom.datasets.recording import Recording
 from stillroom.datasets.selection import select
 from stillroom.datasets.synthetic import SyntheticRoom, open_synthetic
 from stillroom.dense.dense_mapper import DenseMapper, DenseMapperConfig
@@ -117,12 +118,9 @@ def test_a_real_map_is_judged_by_what_the_reference_saw() -> None:
     room = open_synthetic("synthetic:standing,frames=54,fps=9,seed=1")
     empty = open_synthetic("synthetic:empty,frames=54,fps=9,seed=1")
 
-    class EmptyAtFirst:
+    class EmptyAtFirst(Recording):
         name, camera, camera_source = "room", room.camera, ""
-        timestamps_s, groundtruth = room.timestamps_s, None
-
-        def __len__(self) -> int:
-            return 54
+        timestamps_s = room.timestamps_s
 
         def load(self, index: int) -> Any:
             return (empty if index < 24 else room).load(index)

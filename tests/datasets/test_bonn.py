@@ -8,7 +8,7 @@ import pytest
 
 from stillroom.data.association import associate
 from stillroom.data.trajectory import Trajectory
-from stillroom.datasets.bonn import SCALED_T_MARKER_CAM, camera_groundtruth, marker_calibration, marker_to_camera
+from stillroom.datasets.bonn import SCALED_T_MARKER_CAM, marker_calibration, marker_to_camera
 from stillroom.datasets.open import open_dataset
 from stillroom.datasets.selection import select
 from stillroom.datasets.tum import open_tum
@@ -53,22 +53,26 @@ def test_opens_the_real_stretch_with_ground_truth_as_given(bonn: Path) -> None:
     assert sequence.groundtruth is not None
     first = np.loadtxt(bonn / "groundtruth.txt")[0]
     assert np.allclose(sequence.groundtruth.T_world_cam[0, :3, 3], first[1:4])
-    assert camera_groundtruth(open_tum(bonn)) is not None
-    moved = camera_groundtruth(sequence)
+    assert open_tum(bonn).groundtruth_at_camera is None
+    moved = sequence.groundtruth_at_camera
     assert moved is not None
     assert np.array_equal(moved.T_world_cam, marker_to_camera(sequence.groundtruth).T_world_cam)
-    assert camera_groundtruth(select(sequence, frames="200:300")).T_world_cam.shape == moved.T_world_cam.shape
+    assert select(sequence, frames="200:300").groundtruth_at_camera is moved
+    backwards = select(sequence, reverse=True).groundtruth_at_camera
+    assert backwards is not None
+    assert np.array_equal(backwards.T_world_cam, moved.T_world_cam[::-1])
 
 
 def test_other_data_sets_keep_their_ground_truth(tiny: Path) -> None:
     sequence = open_dataset(str(tiny))
-    assert camera_groundtruth(sequence) is sequence.groundtruth
+    assert sequence.groundtruth is not None
+    assert sequence.groundtruth_at_camera is None
 
 
 def test_the_images_move_as_the_camera_does_and_not_as_the_marker(bonn: Path) -> None:
     """Relative motions over a second, from nothing but images and depth, against both ground truths."""
     sequence = open_dataset(str(bonn))
-    as_given, moved = sequence.groundtruth, camera_groundtruth(sequence)
+    as_given, moved = sequence.groundtruth, sequence.groundtruth_at_camera
     assert as_given is not None
     assert moved is not None
     of_image, of_pose = associate(sequence.timestamps_s, as_given.timestamps_s)

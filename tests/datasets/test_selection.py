@@ -9,7 +9,8 @@ import pytest
 from stillroom.data.semantics import Box, Semantics
 from stillroom.datasets.image_sequence import ImageSequence
 from stillroom.datasets.open import open_dataset
-from stillroom.datasets.selection import original_numbers, parse_range, select
+from stillroom.datasets.recording import View
+from stillroom.datasets.selection import parse_range, select
 from stillroom.errors import ConfigError, FrameError
 from stillroom.protocols import Dataset
 from stillroom.testing.tiny_sequence import write_tiny_sequence
@@ -55,7 +56,7 @@ def test_frames_are_python_slices(text: str, expected: list[int], twenty: Datase
 def test_dropped_frames_do_not_exist(twenty: Dataset) -> None:
     chosen = select(twenty, frames="4:16", drop=["6:9", "12:14"])
     assert numbers(chosen) == [4, 5, 9, 10, 11, 14, 15]
-    assert original_numbers(chosen).tolist() == numbers(chosen)
+    assert chosen.numbers.tolist() == numbers(chosen)
 
 
 def test_blacked_out_frames_are_there_and_black(twenty: Dataset) -> None:
@@ -80,18 +81,12 @@ def test_without_options_is_the_sequence_itself(twenty: Dataset) -> None:
 
 
 def test_what_a_renderer_knows_is_nothing_in_the_dark(twenty: ImageSequence) -> None:
-    class Rendered:
-        def __getattr__(self, name: str) -> object:
-            return getattr(twenty, name)
-
-        def __len__(self) -> int:
-            return len(twenty)
-
+    class Rendered(View):
         def load(self, index: int):
             box = Box(1, 1, 9, 9, "person", 1.0)
             return replace(twenty.load(index), truth=Semantics(48, 64, (box,)))
 
-    chosen = select(Rendered(), blackout=["3:4"])
+    chosen = select(Rendered(twenty), blackout=["3:4"])
     assert chosen.load(2).truth.has_any
     dark = chosen.load(3).truth
     assert not dark.has_any
@@ -147,7 +142,7 @@ def test_played_backwards_the_last_image_comes_first_and_time_goes_on(twenty: Da
         image, forwards = backwards.load(place), twenty.load(number)
         assert np.array_equal(image.rgb, forwards.rgb)
         assert np.array_equal(image.depth_m, forwards.depth_m)
-        assert image.index == 19 - number == original_numbers(backwards)[place]
+        assert image.index == 19 - number == backwards.numbers[place]
         assert image.timestamp_s == backwards.timestamps_s[place]
     steps_s = np.diff(backwards.timestamps_s)
     np.testing.assert_allclose(steps_s, -np.diff(twenty.timestamps_s[originals]), atol=1e-6, rtol=0)
@@ -170,11 +165,13 @@ def test_played_backwards_each_image_keeps_its_true_pose(twenty: Dataset) -> Non
 def test_twice_backwards_is_forwards(twenty: Dataset) -> None:
     again = select(select(twenty, reverse=True), reverse=True)
     assert [again.load(i).index for i in range(20)] == list(range(20))
+    assert not again.is_reversed
     np.testing.assert_allclose(again.timestamps_s, twenty.timestamps_s, atol=1e-6, rtol=0)
 
 
 def test_ranges_of_what_is_played_backwards_count_from_the_end(twenty: Dataset) -> None:
     chosen = select(select(twenty, reverse=True), frames=":3")
+    assert chosen.is_reversed
     deepest = [float(chosen.load(i).depth_m[0, 0]) for i in range(3)]
     assert deepest == pytest.approx([1.5 + 0.1 * number for number in (19, 18, 17)])
 

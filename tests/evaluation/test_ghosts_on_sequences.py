@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stillroom.datasets.bonn import camera_groundtruth, open_bonn
+from stillroom.datasets.bonn import open_bonn
 from stillroom.datasets.synthetic import FrameTruth, SyntheticRoom, open_synthetic
 from stillroom.evaluation.ghosts import (
     DepthView,
@@ -106,7 +106,7 @@ def test_a_wall_that_is_missing_lowers_completeness_by_its_share() -> None:
 @lru_cache(maxsize=1)
 def bonn_views(folder: Path) -> dict[int, DepthView]:
     dataset = open_bonn(folder)
-    poses = camera_groundtruth(dataset)
+    poses = dataset.groundtruth_at_camera
     assert poses is not None
     views = {}
     for index in range(0, 560, 10):

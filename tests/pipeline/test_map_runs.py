@@ -13,6 +13,7 @@ from random_map import assert_same_map
 
 from stillroom.config import SlamConfig, read_toml, updated
 from stillroom.datasets.open import open_dataset
+from stillroom.datasets.recording import View
 from stillroom.datasets.selection import select
 from stillroom.dense.dense_mapper import DenseMapperConfig
 from stillroom.errors import ConfigError, FrameError, MapError
@@ -165,13 +166,7 @@ def test_going_on_somewhere_else_begins_a_sub_map(copy: Path) -> None:
 
 
 def test_an_error_in_the_middle_keeps_what_was_committed(room: Dataset, tmp_path: Path) -> None:
-    class Failing:
-        def __getattr__(self, name: str) -> object:
-            return getattr(room, name)
-
-        def __len__(self) -> int:
-            return len(room)
-
+    class Failing(View):
         def load(self, index: int):
             if index == 12:
                 raise RuntimeError("the cable came off")
@@ -181,7 +176,7 @@ def test_an_error_in_the_middle_keeps_what_was_committed(room: Dataset, tmp_path
 
     path = tmp_path / "room.stillmap"
     with pytest.raises(RuntimeError, match="cable"):
-        run(Failing(), CONFIG, on(path, MapUse.NEW))
+        run(Failing(room), CONFIG, on(path, MapUse.NEW))
     assert check_map(path) == []
     assert len(load_map(path).world.keyframes) >= 2
     assert [file.name for file in tmp_path.iterdir()] == ["room.stillmap"]

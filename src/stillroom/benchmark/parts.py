@@ -10,7 +10,6 @@ from stillroom.benchmark.accuracy import NONE, Accuracy
 from stillroom.benchmark.accuracy import sentences as accuracy_sentences
 from stillroom.benchmark.trial import FrameAverages
 from stillroom.config import SlamConfig
-from stillroom.datasets.selection import original_numbers
 from stillroom.dynamics.clusters.sieve import ClusterSieveConfig
 from stillroom.dynamics.keep_all import KeepAllConfig
 from stillroom.errors import ConfigError
@@ -55,7 +54,7 @@ def every_second_second(dataset: Dataset, first: int) -> tuple[FrameRange, ...]:
         dataset: The sequence.
         first: Number of the image; it need not be shown.
     """
-    numbers = original_numbers(dataset)
+    numbers = dataset.numbers
     start = int(np.searchsorted(numbers, first))
     if start >= len(numbers):
         return ()

@@ -15,10 +15,9 @@ from stillroom.benchmark.trial import attempt
 from stillroom.config import SlamConfig
 from stillroom.data.image import RgbdImage
 from stillroom.data.trajectory import Trajectory
+from stillroom.datasets.recording import View
 from stillroom.evaluation.report_text import percent
 from stillroom.evaluation.timing import FRAME, StageTime, peak_memory_mb
-from stillroom.geometry.arrays import F64
-from stillroom.geometry.camera import Camera
 from stillroom.pipeline import SILENT, Progress
 from stillroom.pipeline.run import LOADING
 from stillroom.protocols import Dataset
@@ -129,11 +128,11 @@ def speed(dataset: "UnitMeter", name: str, config: SlamConfig, progress: Progres
     )
 
 
-class UnitMeter:
+class UnitMeter(View):
     """A sequence that takes the unit on every few of the images that it delivers."""
 
     def __init__(self, inner: Dataset, every: int = UNIT_EVERY) -> None:
-        self._inner = inner
+        super().__init__(inner)
         self._every = every
         self._n_loaded = 0
         self._orb = cv2.ORB.create(1000)
@@ -146,33 +145,14 @@ class UnitMeter:
         self.cpu_ms, self.wall_ms = [], []
 
     @property
-    def name(self) -> str:
-        """Name of the sequence."""
-        return self._inner.name
-
-    @property
-    def camera(self) -> Camera:
-        """The calibration in force."""
-        return self._inner.camera
-
-    @property
-    def camera_source(self) -> str:
-        """Where the calibration comes from."""
-        return self._inner.camera_source
-
-    @property
-    def timestamps_s(self) -> F64:
-        """Times of the images (N,) [s]."""
-        return self._inner.timestamps_s
-
-    @property
     def groundtruth(self) -> Trajectory | None:
         """None: speed is asked, and the evaluation would only take time."""
         return None
 
-    def __len__(self) -> int:
-        """Number of images."""
-        return len(self._inner)
+    @property
+    def groundtruth_at_camera(self) -> Trajectory | None:
+        """None, for the same reason."""
+        return None
 
     def load(self, index: int) -> RgbdImage:
         """Return an image of the sequence.

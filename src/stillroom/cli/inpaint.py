@@ -102,10 +102,9 @@ def _recorder(
     """Return a recorder with frames for its sheet from all over the sequence, at the pace of its images."""
     import numpy as np
 
-    from stillroom.datasets.selection import original_numbers
     from stillroom.pipeline.inpainting.truth import painted_error
 
-    numbers, stamps_s = original_numbers(dataset), dataset.timestamps_s
+    numbers, stamps_s = dataset.numbers, dataset.timestamps_s
     places = (np.arange(wanted.on_sheet) + 0.9) * len(numbers) / max(1, wanted.on_sheet)
     chosen = [int(number) for number in numbers[np.unique(places.astype(np.int64))]]
     pace_hz = 1.0 / float(np.median(np.diff(stamps_s))) if len(stamps_s) > 1 else 30.0

@@ -12,13 +12,13 @@ import numpy as np
 
 from stillroom.data.trajectory import Trajectory
 from stillroom.datasets.image_sequence import ImageSequence
-from stillroom.datasets.tum import open_tum
+from stillroom.datasets.kind import Asked, DatasetKind
+from stillroom.datasets.tum import RGB_LIST_NAME, lists_tell_the_times, open_tum
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64
 from stillroom.protocols import Dataset
 
 NAME_PREFIX = "rgbd_bonn_"
-MARKER, CAMERA = "marker", "camera"
 
 T_ROS = np.array([[-1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 """From the motion-capture axes to the data set's: x is turned round, y and z change places."""
@@ -49,19 +49,29 @@ def marker_to_camera(groundtruth: Trajectory) -> Trajectory:
 
 
 def open_bonn(folder: Path, camera: str | None = None, name: str | None = None) -> ImageSequence:
-    """Open a Bonn sequence; its ground truth is given as published, that is of the marker.
+    """Open a Bonn sequence; its ground truth is given as published, that is of the marker, and moved to the camera.
 
     Raises:
         DatasetError: The folder or a list is missing, empty or malformed, or no frame can be used.
         CalibrationError: The calibration asked for is unknown or does not fit the images.
         TrajectoryError: The ground truth cannot be read.
     """
-    return replace(open_tum(folder, camera, name), groundtruth_body=MARKER)
+    sequence = open_tum(folder, camera, name)
+    if sequence.groundtruth is None:
+        return sequence
+    return replace(sequence, groundtruth_at_camera=marker_to_camera(sequence.groundtruth))
 
 
-def camera_groundtruth(dataset: Dataset) -> Trajectory | None:
-    """Return the true poses of the camera itself: moved from the marker where the data set gives those."""
-    groundtruth = dataset.groundtruth
-    if groundtruth is None or getattr(dataset, "groundtruth_body", CAMERA) != MARKER:
-        return groundtruth
-    return marker_to_camera(groundtruth)
+def _is_bonn(asked: Asked) -> bool:
+    folder = asked.folder
+    return folder is not None and asked.name.startswith(NAME_PREFIX) and (folder / RGB_LIST_NAME).exists()
+
+
+def _open(asked: Asked, camera: str | None, fps: float | None) -> Dataset:
+    assert asked.folder is not None, "recognised by its folder"
+    if fps is not None:
+        raise lists_tell_the_times(asked.folder)
+    return open_bonn(asked.folder, camera, asked.name)
+
+
+KIND = DatasetKind("bonn", f"a sequence of the Bonn RGB-D Dynamic data set: a folder {NAME_PREFIX}*", _is_bonn, _open)

@@ -13,8 +13,10 @@ from pathlib import Path
 import numpy as np
 
 from stillroom.datasets.image_sequence import ImageSequence, Listing, build_sequence, increasing
-from stillroom.datasets.tum import RGB_LIST_NAME, open_tum
+from stillroom.datasets.kind import Asked, DatasetKind
+from stillroom.datasets.tum import RGB_LIST_NAME, lists_tell_the_times, open_tum
 from stillroom.errors import ConfigError, DatasetError
+from stillroom.protocols import Dataset
 
 IMAGE_SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm"}
 SECONDS = re.compile(r"\d+\.\d+")
@@ -45,7 +47,7 @@ def open_folder(
         raise ConfigError(f"fps is {fps}; it must be a positive number")
     if (folder / RGB_LIST_NAME).exists():
         if fps is not None:
-            raise ConfigError(f"{folder}: {RGB_LIST_NAME} tells the times; leave fps out")
+            raise lists_tell_the_times(folder)
         return open_tum(folder, camera, name)
     rgb_files, depth_files = _images(folder / "rgb"), _images(folder / "depth")
     if fps is None:
@@ -102,3 +104,16 @@ def _same_places(folder: Path, rgb: list[Path], depth: list[Path]) -> tuple[list
         f"{folder}: {len(rgb)} colour and {len(depth)} depth images whose names do not agree; "
         f"name them alike, or write {RGB_LIST_NAME} and depth.txt"
     )
+
+
+def _is_sequence(asked: Asked) -> bool:
+    folder = asked.folder
+    return folder is not None and ((folder / RGB_LIST_NAME).is_file() or (folder / "rgb").is_dir())
+
+
+def _open(asked: Asked, camera: str | None, fps: float | None) -> Dataset:
+    assert asked.folder is not None, "recognised by its folder"
+    return open_folder(asked.folder, camera, asked.name, fps)
+
+
+KIND = DatasetKind("folder", f"a folder with rgb/ and depth/, or with {RGB_LIST_NAME} as in TUM's", _is_sequence, _open)

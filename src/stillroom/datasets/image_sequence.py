@@ -12,6 +12,7 @@ from stillroom.data.image import RgbdImage
 from stillroom.data.trajectory import Trajectory, read_tum
 from stillroom.datasets.calibrations import choose_camera
 from stillroom.datasets.images import depth_in_metres, read_depth_units, read_rgb
+from stillroom.datasets.recording import Recording
 from stillroom.errors import CalibrationError, DatasetError, FrameError
 from stillroom.geometry.arrays import F64, I64, U8, U16
 from stillroom.geometry.camera import Camera
@@ -39,7 +40,7 @@ class Listing:
 
 
 @dataclass(frozen=True)
-class ImageSequence:
+class ImageSequence(Recording):
     """A `Dataset` whose images lie on disk.
 
     Attributes:
@@ -49,7 +50,7 @@ class ImageSequence:
         timestamps_s: Times of the colour images (N,) float64 [s].
         rgb_files, depth_files: The images.
         groundtruth: Poses as the data set gives them, where it has any.
-        groundtruth_body: Whose poses they are: "camera", or "marker" for a motion-capture body that rides on it.
+        groundtruth_at_camera: The same moved to the camera, where they are those of another body that rides on it.
         unpaired: How many listed colour images were left out because no depth image belongs to them.
     """
 
@@ -60,12 +61,8 @@ class ImageSequence:
     rgb_files: tuple[Path, ...]
     depth_files: tuple[Path, ...]
     groundtruth: Trajectory | None = None
-    groundtruth_body: str = "camera"
+    groundtruth_at_camera: Trajectory | None = None
     unpaired: int = 0
-
-    def __len__(self) -> int:
-        """Number of images."""
-        return len(self.rgb_files)
 
     def load(self, index: int) -> RgbdImage:
         """Read image `index`.

@@ -8,13 +8,13 @@ import numpy as np
 from stillroom.data.image import RgbdImage
 from stillroom.data.semantics import nothing
 from stillroom.data.trajectory import Trajectory
+from stillroom.datasets.recording import View
 from stillroom.errors import ConfigError
 from stillroom.geometry.arrays import F64, I64, Bool
-from stillroom.geometry.camera import Camera
 from stillroom.protocols import Dataset
 
 
-class Selected:
+class Selected(View):
     """A `Dataset` that shows some of another's images.
 
     Images keep the numbers they have in the original sequence, in `RgbdImage.index` and in every range, also when
@@ -23,25 +23,10 @@ class Selected:
 
     def __init__(self, inner: Dataset, kept: I64, blackout: Iterable[int] = ()) -> None:
         """Show the images at places `kept` (K,) of `inner`, in this order; those numbered in `blackout` are black."""
-        self._inner = inner
+        super().__init__(inner)
         self._kept = kept
         self._blackout = frozenset(blackout)
         self._timestamps_s: F64 = np.asarray(inner.timestamps_s, dtype=np.float64)[kept]
-
-    @property
-    def name(self) -> str:
-        """Name of the original."""
-        return self._inner.name
-
-    @property
-    def camera(self) -> Camera:
-        """The calibration in force."""
-        return self._inner.camera
-
-    @property
-    def camera_source(self) -> str:
-        """Where the calibration comes from."""
-        return self._inner.camera_source
 
     @property
     def timestamps_s(self) -> F64:
@@ -49,24 +34,9 @@ class Selected:
         return self._timestamps_s
 
     @property
-    def groundtruth(self) -> Trajectory | None:
-        """True poses of the whole original."""
-        return self._inner.groundtruth
-
-    @property
-    def groundtruth_body(self) -> str:
-        """Whose poses the ground truth gives: "camera" or "marker"."""
-        return str(getattr(self._inner, "groundtruth_body", "camera"))
-
-    @property
     def numbers(self) -> I64:
         """Numbers (K,) of the images shown in the original sequence."""
-        return original_numbers(self._inner)[self._kept]
-
-    @property
-    def original_length(self) -> int:
-        """Number of images of the original sequence."""
-        return _original_length(self._inner)
+        return self._inner.numbers[self._kept]
 
     def __len__(self) -> int:
         """Number of images shown."""
@@ -88,7 +58,7 @@ class Selected:
         return replace(image, rgb=np.zeros_like(image.rgb), depth_m=np.zeros_like(image.depth_m), truth=black_truth)
 
 
-class Reversed:
+class Reversed(View):
     """A `Dataset` that plays another backwards: times and ground truth are mirrored, so that time goes on as it must.
 
     Numbers of images, which must increase, count from the end of the original: its last image is number 0.
@@ -96,25 +66,10 @@ class Reversed:
 
     def __init__(self, inner: Dataset) -> None:
         """Play `inner` from its last image to its first."""
-        self._inner = inner
+        super().__init__(inner)
         times_s: F64 = np.asarray(inner.timestamps_s, dtype=np.float64)
         self._mirror_s = float(times_s[0] + times_s[-1])
         self._timestamps_s: F64 = self._mirror_s - times_s[::-1]
-
-    @property
-    def name(self) -> str:
-        """Name of the original."""
-        return self._inner.name
-
-    @property
-    def camera(self) -> Camera:
-        """The calibration in force."""
-        return self._inner.camera
-
-    @property
-    def camera_source(self) -> str:
-        """Where the calibration comes from."""
-        return self._inner.camera_source
 
     @property
     def timestamps_s(self) -> F64:
@@ -124,29 +79,22 @@ class Reversed:
     @property
     def groundtruth(self) -> Trajectory | None:
         """True poses at mirrored times."""
-        forward = self._inner.groundtruth
-        if forward is None:
-            return None
-        return Trajectory(self._mirror_s - forward.timestamps_s[::-1], forward.T_world_cam[::-1])
+        return self._mirrored(self._inner.groundtruth)
 
     @property
-    def groundtruth_body(self) -> str:
-        """Whose poses the ground truth gives: "camera" or "marker"."""
-        return str(getattr(self._inner, "groundtruth_body", "camera"))
+    def groundtruth_at_camera(self) -> Trajectory | None:
+        """The same moved to the camera, where they are those of another body."""
+        return self._mirrored(self._inner.groundtruth_at_camera)
 
     @property
     def numbers(self) -> I64:
         """Numbers (N,) of the images, counted from the end of the original."""
-        return self.original_length - 1 - original_numbers(self._inner)[::-1]
+        return self.original_length - 1 - self._inner.numbers[::-1]
 
     @property
-    def original_length(self) -> int:
-        """Number of images of the original sequence."""
-        return _original_length(self._inner)
-
-    def __len__(self) -> int:
-        """Number of images."""
-        return len(self._inner)
+    def is_reversed(self) -> bool:
+        """Whether the images are played backwards; twice backwards is forwards."""
+        return not self._inner.is_reversed
 
     def load(self, index: int) -> RgbdImage:
         """Return the image at place `index` from the end, with the number and the time that it has here.
@@ -160,6 +108,11 @@ class Reversed:
         image = self._inner.load(len(self) - 1 - index)
         number = self.original_length - 1 - image.index
         return replace(image, index=number, timestamp_s=float(self._timestamps_s[index]))
+
+    def _mirrored(self, forward: Trajectory | None) -> Trajectory | None:
+        if forward is None:
+            return None
+        return Trajectory(self._mirror_s - forward.timestamps_s[::-1], forward.T_world_cam[::-1])
 
 
 def select(
@@ -184,7 +137,7 @@ def select(
     drop, blackout = tuple(drop), tuple(blackout)
     if frames is None and not drop and not blackout:
         return Reversed(dataset) if reverse else dataset
-    numbers, length = original_numbers(dataset), _original_length(dataset)
+    numbers, length = dataset.numbers, dataset.original_length
     kept = np.ones(len(numbers), dtype=np.bool_)
     if frames is not None:
         kept = _touched("frames", frames, numbers, kept, length)
@@ -215,17 +168,6 @@ def parse_range(text: str) -> slice:
     if chosen.step is not None and chosen.step <= 0:
         raise ConfigError(f"'{text}': the step of a range of frames must be positive")
     return chosen
-
-
-def original_numbers(dataset: Dataset) -> I64:
-    """Return the numbers (N,) that a sequence's images have in its original."""
-    if isinstance(dataset, Selected | Reversed):
-        return dataset.numbers
-    return np.arange(len(dataset), dtype=np.int64)
-
-
-def _original_length(dataset: Dataset) -> int:
-    return dataset.original_length if isinstance(dataset, Selected | Reversed) else len(dataset)
 
 
 def _touched(option: str, text: str, numbers: I64, kept: Bool, length: int) -> Bool:

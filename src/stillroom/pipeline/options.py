@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from stillroom.datasets.open import open_dataset
-from stillroom.datasets.selection import Reversed, parse_range, select
+from stillroom.datasets.selection import parse_range, select
 from stillroom.errors import ConfigError
 from stillroom.pipeline.maps.use import MapFile
 from stillroom.protocols import Dataset, RunObserver, Segmenter
@@ -81,7 +81,7 @@ def detector_ranges(texts: Iterable[str], dataset: Dataset) -> tuple[tuple[int, 
     Raises:
         ConfigError: A range is malformed or empty.
     """
-    length = int(getattr(dataset, "original_length", len(dataset)))
+    length = dataset.original_length
     ranges = []
     for text in texts:
         first, end, step = parse_range(text).indices(length)
@@ -90,5 +90,5 @@ def detector_ranges(texts: Iterable[str], dataset: Dataset) -> tuple[tuple[int, 
                 f"detector-off {text}: no such range of images; there are {length}, write it like 300:330"
             )
         # Images of a sequence that is played backwards are numbered from its end.
-        ranges.append((length - end, length - first) if isinstance(dataset, Reversed) else (first, end))
+        ranges.append((length - end, length - first) if dataset.is_reversed else (first, end))
     return tuple(ranges)

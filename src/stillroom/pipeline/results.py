@@ -32,7 +32,6 @@ from stillroom.data.cloud.dense_cloud import DenseCloud
 from stillroom.data.map import submaps
 from stillroom.data.result import Recovery
 from stillroom.data.trajectory import Trajectory, read_tum
-from stillroom.datasets.bonn import CAMERA, MARKER, camera_groundtruth
 from stillroom.dense.export.cloud_file import NAME as DENSE
 from stillroom.dense.export.cloud_file import save_cloud
 from stillroom.dense.export.ply import write_point_ply
@@ -65,10 +64,7 @@ class Truth:
     def of(cls, dataset: Dataset) -> "Truth | None":
         """Return that of a sequence, if it has any."""
         as_given = dataset.groundtruth
-        if as_given is None:
-            return None
-        is_marker = getattr(dataset, "groundtruth_body", CAMERA) == MARKER
-        return cls(as_given, camera_groundtruth(dataset) if is_marker else None)
+        return None if as_given is None else cls(as_given, dataset.groundtruth_at_camera)
 
     @classmethod
     def read(cls, folder: Path) -> "Truth | None":

@@ -11,7 +11,6 @@ import numpy as np
 from stillroom.config import SlamConfig
 from stillroom.data.result import FrameResult, Tracked
 from stillroom.data.semantics import Semantics
-from stillroom.datasets.selection import Reversed, original_numbers
 from stillroom.errors import ConfigError, FrameError
 from stillroom.evaluation.timing import FRAME, StageClock
 from stillroom.pipeline import folders, results
@@ -52,7 +51,7 @@ def run(
     options = options or RunOptions()
     if options.map is not None:
         config = options.map.fitting(config)
-    if isinstance(dataset, Reversed) and isinstance(config.semantics, MaskFilesConfig):
+    if dataset.is_reversed and isinstance(config.semantics, MaskFilesConfig):
         raise ConfigError("--reverse changes the numbers and times by which masks are found; leave one of them out")
     _settle(config.seed)
     with opened_map(options.map, config, dataset) as opened:
@@ -118,7 +117,7 @@ def _track_all(
             with clock.stage(LOADING):
                 image = dataset.load(place)
         except FrameError as error:
-            number = int(original_numbers(dataset)[place])
+            number = int(dataset.numbers[place])
             outcome.bad.append((number, float(dataset.timestamps_s[place])))
             remarks.unreadable(number, error)
             progress.frame(None)
@@ -178,7 +177,7 @@ def _folder(dataset: Dataset, config: SlamConfig, options: RunOptions) -> Path |
 def _recorder(folder: Path | None, dataset: Dataset, n_pictures: int) -> RunObserver:
     if folder is None or n_pictures <= 0:
         return Nothing()
-    numbers = original_numbers(dataset)
+    numbers = dataset.numbers
     # The middles of equal parts: neither the first frame, on which nothing is known yet, nor the last.
     places = (np.arange(n_pictures) + 0.5) * len(numbers) / n_pictures
     chosen = tuple(int(number) for number in numbers[np.unique(places.astype(np.int64))])

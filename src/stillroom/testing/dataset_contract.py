@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stillroom.data.image import RgbdImage
+from stillroom.data.trajectory import Trajectory
 from stillroom.errors import FrameError
 from stillroom.protocols import Dataset
 
@@ -57,8 +58,6 @@ def check_dataset(dataset: Dataset, *known_pixels: KnownPixel) -> None:
     for place, image in first_pass.items():
         if image is not None:
             _check_image(dataset, place, image)
-    numbers = [image.index for image in first_pass.values() if image is not None]
-    assert numbers == sorted(set(numbers)), f"RgbdImage.index must increase along the sequence, not {numbers}"
     _check_repeats(dataset, first_pass)
     for pixel in known_pixels:
         _check_pixel(dataset, pixel)
@@ -76,13 +75,33 @@ def _check_description(dataset: Dataset) -> None:
     assert times_s.shape == (len(dataset),), f"timestamps_s has shape {times_s.shape}, length is {len(dataset)}"
     assert np.all(np.isfinite(times_s)), "a timestamp is not finite"
     assert np.all(np.diff(times_s) > 0), "timestamps_s must strictly increase"
-    groundtruth = dataset.groundtruth
-    if groundtruth is not None:
-        assert len(groundtruth) > 0, "groundtruth without poses; it must be None then"
-        assert groundtruth.T_world_cam.shape == (len(groundtruth), 4, 4), "groundtruth poses are not (M, 4, 4)"
-        assert np.all(np.diff(groundtruth.timestamps_s) > 0), "groundtruth times must strictly increase"
-        R = groundtruth.T_world_cam[:, :3, :3]
-        assert np.allclose(R @ R.transpose(0, 2, 1), np.eye(3), atol=1e-6), "a groundtruth rotation is none"
+    _check_numbers(dataset)
+    _check_groundtruth("groundtruth", dataset.groundtruth)
+    _check_groundtruth("groundtruth_at_camera", dataset.groundtruth_at_camera)
+    if dataset.groundtruth_at_camera is not None:
+        assert dataset.groundtruth is not None, "groundtruth_at_camera without groundtruth; give it as groundtruth"
+
+
+def _check_numbers(dataset: Dataset) -> None:
+    numbers, length = dataset.numbers, dataset.original_length
+    assert isinstance(numbers, np.ndarray), "numbers is no array"
+    assert numbers.dtype == np.int64, f"numbers is {numbers.dtype}, not int64"
+    assert numbers.shape == (len(dataset),), f"numbers has shape {numbers.shape}, length is {len(dataset)}"
+    assert np.all(np.diff(numbers) > 0), "numbers must strictly increase"
+    assert type(length) is int, f"original_length is a {type(length).__name__}, not int"
+    assert numbers[0] >= 0, f"numbers start at {numbers[0]}; the first of the original is 0"
+    assert numbers[-1] < length, f"numbers go up to {numbers[-1]}, but original_length is {length}"
+    assert type(dataset.is_reversed) is bool, f"is_reversed is a {type(dataset.is_reversed).__name__}, not bool"
+
+
+def _check_groundtruth(what: str, groundtruth: Trajectory | None) -> None:
+    if groundtruth is None:
+        return
+    assert len(groundtruth) > 0, f"{what} without poses; it must be None then"
+    assert groundtruth.T_world_cam.shape == (len(groundtruth), 4, 4), f"{what} poses are not (M, 4, 4)"
+    assert np.all(np.diff(groundtruth.timestamps_s) > 0), f"{what} times must strictly increase"
+    R = groundtruth.T_world_cam[:, :3, :3]
+    assert np.allclose(R @ R.transpose(0, 2, 1), np.eye(3), atol=1e-6), f"a {what} rotation is none"
 
 
 def _check_borders(dataset: Dataset) -> None:
@@ -107,7 +126,8 @@ def _load(dataset: Dataset, place: int) -> RgbdImage | None:
 def _check_image(dataset: Dataset, place: int, image: RgbdImage) -> None:
     size = (dataset.camera.height, dataset.camera.width)
     assert image.timestamp_s == dataset.timestamps_s[place], f"image {place} has another time than timestamps_s"
-    assert image.index >= place, f"image {place} is numbered {image.index}"
+    number = int(dataset.numbers[place])
+    assert image.index == number, f"image {place} is numbered {image.index}, but numbers says {number}"
     assert image.rgb.dtype == np.uint8, f"image {place}: rgb is {image.rgb.dtype}, not uint8"
     assert image.rgb.shape == (*size, 3), f"image {place}: rgb is {image.rgb.shape}, the camera {size}"
     assert image.depth_m.dtype == np.float32, f"image {place}: depth_m is {image.depth_m.dtype}, not float32"

@@ -17,7 +17,8 @@ from stillroom.cli.bench.session import Bench, Camera, Frames, Out, Runs, Sequen
 from stillroom.cli.output.console import say
 from stillroom.cli.output.tables import print_lines
 from stillroom.config import SlamConfig
-from stillroom.datasets.open import SYNTHETIC, open_dataset
+from stillroom.datasets.open import open_dataset
+from stillroom.datasets.registry import SYNTHETIC
 from stillroom.datasets.synthetic import SyntheticRoom
 from stillroom.errors import ConfigError
 from stillroom.methods.registry import configure

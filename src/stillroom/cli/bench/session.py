@@ -15,7 +15,7 @@ from stillroom.cli.output.frame_bar import FrameBar
 from stillroom.cli.output.tables import print_lines, print_table
 from stillroom.cli.warmup import ensure_warm
 from stillroom.config import SlamConfig
-from stillroom.datasets.open import SYNTHETIC
+from stillroom.datasets.registry import SYNTHETIC
 from stillroom.errors import StillroomError
 from stillroom.pipeline import Source
 from stillroom.pipeline.provenance import provenance

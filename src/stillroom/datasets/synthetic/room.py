@@ -2,7 +2,7 @@
 
 import hashlib
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from pathlib import Path
 
 import cv2
@@ -11,6 +11,7 @@ import numpy as np
 from stillroom.data.image import RgbdImage
 from stillroom.data.semantics import Box, Instance, Semantics
 from stillroom.data.trajectory import Trajectory
+from stillroom.datasets.recording import Recording
 from stillroom.datasets.synthetic import sensor
 from stillroom.datasets.synthetic.cache import FrameCache, StoredFrame
 from stillroom.datasets.synthetic.raster import extents_of
@@ -40,7 +41,7 @@ class FrameTruth:
     moving: Bool
 
 
-class SyntheticRoom:
+class SyntheticRoom(Recording):
     """A rendered RGB-D sequence; see `stillroom.datasets.synthetic.config` for what can be chosen."""
 
     def __init__(
@@ -63,20 +64,12 @@ class SyntheticRoom:
         self.timestamps_s = np.arange(n_frames) / fps
         self.scene = world.scene
         self._way = world.way
+        self.groundtruth = Trajectory(self.timestamps_s, self._way.poses(self.timestamps_s))
         self._noise = sensor.NoiseTables(seed) if noise else None
         self._cache: FrameCache | None = None
         if cache_spec is not None:
             spec = f"{_renderer_version()} {cache_spec} {CAMERA}"
             self._cache = FrameCache(hashlib.sha256(spec.encode()).hexdigest()[:24])
-
-    def __len__(self) -> int:
-        """Number of frames."""
-        return len(self.timestamps_s)
-
-    @cached_property
-    def groundtruth(self) -> Trajectory:
-        """The exact pose of each frame."""
-        return Trajectory(self.timestamps_s, self._way.poses(self.timestamps_s))
 
     def load(self, index: int) -> RgbdImage:
         """Return frame `index`, from the cache or rendered.

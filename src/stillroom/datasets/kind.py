@@ -1,0 +1,53 @@
+"""What a kind of data set is: how it is recognised, and how it is opened."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from stillroom.protocols import Dataset
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What the user asked for.
+
+    Attributes:
+        text: As given on the command line: a path, a bare name, or `kind:…`.
+        path: The file or folder that it leads to; that of an unpacked archive is a folder in the cache. None while no
+            file or folder has been sought: kinds are asked about the text alone before.
+        name: What the sequence is to be called; the name of the folder, or of the archive where it has no folder.
+    """
+
+    text: str
+    path: Path | None = None
+    name: str = ""
+
+    @property
+    def prefix(self) -> str:
+        """What stands before the first colon: "synthetic" in `synthetic:walking`."""
+        return self.text.partition(":")[0]
+
+    @property
+    def folder(self) -> Path | None:
+        """The path, where it is that of a folder."""
+        return self.path if self.path is not None and self.path.is_dir() else None
+
+
+@dataclass(frozen=True)
+class DatasetKind:
+    """A kind of data set.
+
+    Attributes:
+        name: What the kind is called; where it is recognised by a prefix, the same word.
+        summary: One line: what is read.
+        recognises: Whether this kind opens what is asked for. Asked about the text alone at first, then about the file
+            or folder that it leads to; must not read more than the names of files.
+        open: Opens it. Given what is asked for; the calibration asked for, a name or a file, if any; and the frames
+            per second [1/s], if given. It raises `DatasetError`, `CalibrationError` or `TrajectoryError` where the
+            sequence cannot be opened, and `ConfigError` where an option does not go with this kind.
+    """
+
+    name: str
+    summary: str
+    recognises: Callable[[Asked], bool]
+    open: Callable[[Asked, str | None, float | None], Dataset]

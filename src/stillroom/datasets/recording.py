@@ -1,0 +1,113 @@
+"""What a data set is made from: the defaults of a whole recording, and a data set that shows another one."""
+
+import numpy as np
+
+from stillroom.data.image import RgbdImage
+from stillroom.data.trajectory import Trajectory
+from stillroom.geometry.arrays import F64, I64
+from stillroom.geometry.camera import Camera
+from stillroom.protocols import Dataset
+
+
+class Recording:
+    """Base of a `Dataset` that is a whole sequence. What is left to write are four attributes and `load`.
+
+    It has no ground truth unless a subclass gives some, and its images are numbered from 0 in their order.
+
+    Attributes:
+        name: Short name, used for the results folder.
+        camera: The calibration in force.
+        camera_source: One line that says where the calibration comes from.
+        timestamps_s: Times of the colour images (N,) float64 [s], strictly increasing.
+        groundtruth: True poses as the data set gives them.
+        groundtruth_at_camera: The same moved to the camera, where the given ones are those of another body.
+        is_reversed: Whether the images are played backwards; a recording is played as it was taken.
+    """
+
+    name: str
+    camera: Camera
+    camera_source: str
+    timestamps_s: F64
+    groundtruth: Trajectory | None = None
+    groundtruth_at_camera: Trajectory | None = None
+    is_reversed: bool = False
+
+    @property
+    def numbers(self) -> I64:
+        """Numbers (N,) of the images: their places."""
+        return np.arange(len(self), dtype=np.int64)
+
+    @property
+    def original_length(self) -> int:
+        """Number of images of the original sequence, which is this one."""
+        return len(self)
+
+    def __len__(self) -> int:
+        """Number of images."""
+        return len(self.timestamps_s)
+
+
+class View:
+    """Base of a `Dataset` that shows another one: it says what the other says, but for what a subclass overrides."""
+
+    def __init__(self, inner: Dataset) -> None:
+        """Show `inner`."""
+        self._inner = inner
+
+    @property
+    def name(self) -> str:
+        """Name of the original."""
+        return self._inner.name
+
+    @property
+    def camera(self) -> Camera:
+        """The calibration in force."""
+        return self._inner.camera
+
+    @property
+    def camera_source(self) -> str:
+        """Where the calibration comes from."""
+        return self._inner.camera_source
+
+    @property
+    def timestamps_s(self) -> F64:
+        """Times of the images (N,) float64 [s]."""
+        return self._inner.timestamps_s
+
+    @property
+    def groundtruth(self) -> Trajectory | None:
+        """True poses of the whole original."""
+        return self._inner.groundtruth
+
+    @property
+    def groundtruth_at_camera(self) -> Trajectory | None:
+        """The same moved to the camera, where they are those of another body."""
+        return self._inner.groundtruth_at_camera
+
+    @property
+    def numbers(self) -> I64:
+        """Numbers (N,) of the images in the original sequence."""
+        return self._inner.numbers
+
+    @property
+    def original_length(self) -> int:
+        """Number of images of the original sequence."""
+        return self._inner.original_length
+
+    @property
+    def is_reversed(self) -> bool:
+        """Whether the images are played backwards."""
+        return self._inner.is_reversed
+
+    def __len__(self) -> int:
+        """Number of images."""
+        return len(self._inner)
+
+    def load(self, index: int) -> RgbdImage:
+        """Return image `index`.
+
+        Raises:
+            IndexError: There is no such image.
+            FrameError: It cannot be used.
+        """
+        return self._inner.load(index)

@@ -75,7 +75,7 @@ class PluginGroup(Generic[T]):
         try:
             offered: T = entry.load()
         except Exception as error:  # a package of somebody else's may fail in any way when it is imported
-            reason = f"{type(error).__name__}: {error}"
+            reason = " ".join(f"{type(error).__name__}: {error}".split())  # on one line
             raise ConfigError(
                 f"{_origin(entry)}: cannot be imported ({reason}); repair or uninstall that package"
             ) from error

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from stillroom.benchmark.speed import UnitMeter
 from stillroom.data.image import RgbdImage
 from stillroom.datasets.open import open_dataset
 from stillroom.datasets.selection import select
@@ -71,6 +72,12 @@ def blackout(tmp_path: Path) -> Opened:
     return chosen, (KnownPixel(2, 3, 5, (0, 0, 0), 0.0),)
 
 
+def metered(tmp_path: Path) -> Opened:
+    known = write_tiny_sequence(tmp_path / "tiny", frames=12)
+    chosen = select(open_tum(tmp_path / "tiny"), frames="2:11")
+    return UnitMeter(chosen), tuple(replace(p, index=p.index - 2) for p in known if 2 <= p.index < 11)
+
+
 # A rendered sequence joins here, one function each: `def walking(tmp_path) -> Opened`.
 OPENERS: list[Callable[[Path], Opened]] = [
     tum_folder,
@@ -81,6 +88,7 @@ OPENERS: list[Callable[[Path], Opened]] = [
     selection,
     played_backwards,
     blackout,
+    metered,
 ]
 
 
@@ -228,6 +236,42 @@ class Silent(Broken):
     camera_source = ""
 
 
+class OtherNumbers(Broken):
+    @property
+    def numbers(self) -> np.ndarray:
+        return self._inner.numbers + 1
+
+    original_length = 7
+
+
+class TooManyNumbers(Broken):
+    @property
+    def numbers(self) -> np.ndarray:
+        return np.arange(len(self) + 1)
+
+
+class BackwardNumbers(Broken):
+    @property
+    def numbers(self) -> np.ndarray:
+        return self._inner.numbers[::-1]
+
+
+class Shorter(Broken):
+    original_length = 3
+
+
+class Undecided(Broken):
+    is_reversed = None
+
+
+class AtCameraAlone(Broken):
+    groundtruth = None
+
+    @property
+    def groundtruth_at_camera(self) -> object:
+        return self._inner.groundtruth
+
+
 @pytest.mark.parametrize(
     ("broken", "said"),
     [
@@ -247,6 +291,12 @@ class Silent(Broken):
         (Hopeless, "no sampled frame can be loaded"),
         (Unnumbered, "is numbered 0"),
         (Silent, "camera_source is empty"),
+        (OtherNumbers, "is numbered 0, but numbers says 1"),
+        (TooManyNumbers, "numbers has shape"),
+        (BackwardNumbers, "numbers must strictly increase"),
+        (Shorter, "original_length is 3"),
+        (Undecided, "is_reversed is a NoneType"),
+        (AtCameraAlone, "without groundtruth"),
     ],
 )
 def test_the_contract_notices(broken: type[Broken], said: str, tmp_path: Path) -> None:

@@ -2,7 +2,7 @@
 
 import hashlib
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 
 import cv2
@@ -64,12 +64,16 @@ class SyntheticRoom(Recording):
         self.timestamps_s = np.arange(n_frames) / fps
         self.scene = world.scene
         self._way = world.way
-        self.groundtruth = Trajectory(self.timestamps_s, self._way.poses(self.timestamps_s))
         self._noise = sensor.NoiseTables(seed) if noise else None
         self._cache: FrameCache | None = None
         if cache_spec is not None:
             spec = f"{_renderer_version()} {cache_spec} {CAMERA}"
             self._cache = FrameCache(hashlib.sha256(spec.encode()).hexdigest()[:24])
+
+    @cached_property
+    def groundtruth(self) -> Trajectory:  # type: ignore[override]  # made when asked for: opening stays cheap
+        """The exact pose of each frame."""
+        return Trajectory(self.timestamps_s, self._way.poses(self.timestamps_s))
 
     def load(self, index: int) -> RgbdImage:
         """Return frame `index`, from the cache or rendered.

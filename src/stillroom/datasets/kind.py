@@ -15,7 +15,8 @@ class Asked:
         text: As given on the command line: a path, a bare name, or `kind:…`.
         path: The file or folder that it leads to; that of an unpacked archive is a folder in the cache. None while no
             file or folder has been sought: kinds are asked about the text alone before.
-        name: What the sequence is to be called; the name of the folder, or of the archive where it has no folder.
+        name: What the sequence is to be called: the name of the folder, or of the archive where that has none; empty
+            while there is no path.
     """
 
     text: str

@@ -15,6 +15,7 @@ from stillroom.benchmark.trial import FrameAverages, attempt
 from stillroom.cli.bench import app
 from stillroom.config import SlamConfig
 from stillroom.datasets.open import open_dataset
+from stillroom.datasets.recording import Recording
 from stillroom.datasets.selection import select
 from stillroom.dynamics.epipolar import EpipolarConfig
 from stillroom.dynamics.keep_all import KeepAllConfig
@@ -88,7 +89,7 @@ def test_a_method_without_these_parts_is_refused(settings: list[str]) -> None:
 
 def test_every_second_second_is_the_seconds_in_between() -> None:
     stamps_s = np.array([5.0, 5.5, 6.2, 6.9, 7.1, 7.3, 8.25, 8.9, 9.1, 9.9, 10.1])
-    dataset = type("Few", (), {"timestamps_s": stamps_s, "__len__": lambda self: len(stamps_s)})()
+    dataset = type("Few", (Recording,), {"timestamps_s": stamps_s})()
     # From 5.5 s on: seconds [6.5, 7.5) and [8.5, 9.5).
     assert every_second_second(dataset, 1) == ((3, 6), (7, 9))
     assert every_second_second(dataset, 10) == ()

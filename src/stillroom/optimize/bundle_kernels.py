@@ -100,9 +100,8 @@ def linearize(
 ) -> None:
     """Write the normal equations' blocks, sums over the active observations.
 
-    Cameras: lower triangles `H_cc` (F, 6, 6) and `b_c` (F, 6). Points: the lower triangles `H_pp` (P, 6) as 00 10 11
-    20 21 22, and `b_p` (P, 3). Mixed, one an observation: `W` (O, 3, 6), point by camera; zero if inactive. Of fixed
-    cameras it holds the first half only.
+    Cameras: lower triangles `H_cc` (F, 6, 6), `b_c` (F, 6). Points: lower triangles `H_pp` (P, 6) as 00 10 11 20 21
+    22, `b_p` (P, 3). Mixed: `W` (O, 3, 6), point by camera; 0 if inactive, the first half only of fixed cameras.
     """
     H_cc[:] = 0.0
     b_c[:] = 0.0

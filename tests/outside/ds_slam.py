@@ -1,7 +1,4 @@
-"""DS-SLAM in outline (Yu et al., IROS 2018): a person goes when enough points on it leave their epipolar lines.
-
-What a package outside the house would hold: one sieve, and a method that puts it beside the network.
-"""
+"""DS-SLAM in outline (Yu et al., IROS 2018): a person goes when enough points on it leave their epipolar lines."""
 
 from dataclasses import dataclass, replace
 

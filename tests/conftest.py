@@ -1,4 +1,8 @@
-"""Where the real data lies, and a count of what ran with it."""
+"""Where the real data lies, and a count of what ran with it.
+
+Sequences and weights that lie beside the checkout are used where no others are named. The variables are set when this
+file is read, so that what tests start inherits them.
+"""
 
 import os
 from pathlib import Path
@@ -13,17 +17,20 @@ BONN = "rgbd_bonn_crowd_first560"
 FREIBURG1 = "rgbd_dataset_freiburg1_rpy_first150"
 
 
-# Where nothing else is said, real data beside the repository is used, also by the programs that tests start.
-for variable, kind in (("STILLROOM_DATA", "data"), ("STILLROOM_MODELS", "models")):
-    if not os.environ.get(variable) and (beside := ROOT.parent / "shared" / kind).is_dir():
-        os.environ[variable] = str(beside)
+for _variable, _kind in (("STILLROOM_DATA", "data"), ("STILLROOM_MODELS", "models")):
+    _beside = ROOT.parent / "shared" / _kind
+    if not os.environ.get(_variable) and _beside.is_dir():
+        os.environ[_variable] = str(_beside)
+
+REAL = {variable: os.environ.get(variable) for variable in ("STILLROOM_DATA", "STILLROOM_MODELS")}
+"""Read once: tests set the variables for themselves."""
 
 
 def _required(variable: str, relative: str) -> Path:
-    found = Path(os.environ.get(variable, "")) / relative
-    if not os.environ.get(variable) or not found.exists():
+    named = REAL[variable]
+    if not named or not (Path(named) / relative).exists():
         pytest.skip(f"{relative} not found; set {variable} to the folder that holds it")
-    return found
+    return Path(named) / relative
 
 
 @pytest.fixture(scope="session")

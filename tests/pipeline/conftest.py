@@ -23,4 +23,4 @@ def room() -> Dataset:
 def finished(room: Dataset, tmp_path_factory: pytest.TempPathFactory) -> RunOutcome:
     """A run through it, with everything that is written."""
     root: Path = tmp_path_factory.mktemp("results")
-    return run(room, CONFIG, RunOptions(root=root, pictures=3, source=ROOM, asked={"schedule": "in-order"}))
+    return run(room, CONFIG, RunOptions(root=root, pictures=3, source=ROOM, asked={"light": "dim"}))

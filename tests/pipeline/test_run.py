@@ -103,7 +103,7 @@ def test_the_config_makes_the_same_run_again(finished: RunOutcome) -> None:
     assert configure(None, file) == CONFIG
     how = tomllib.loads(file.read_text(encoding="utf-8"))["run"]
     assert how["source"]["sequence"] == "synthetic:walking,frames=45"
-    assert how["schedule"] == "in-order"
+    assert how["light"] == "dim"
     assert how["camera_source"]
     assert how["versions"]["numpy"] == np.__version__
     assert set(how["commit"].removesuffix("+changes")) <= set("0123456789abcdef")

@@ -52,7 +52,7 @@ def sequence_path(name: str) -> Path | None:
 
 def _roots(kind: str) -> list[Path]:
     named = os.environ.get(VARIABLES[kind])
-    return [*([Path(named)] if named else []), cache_folder() / kind]
+    return list(dict.fromkeys((*([Path(named)] if named else []), cache_folder() / kind)))
 
 
 def _first_existing(kind: str, name: str) -> Path | None:

@@ -69,8 +69,8 @@ def test_linearize_matches_numpy_with_numerical_jacobians(problem: BundleProblem
     mixed = np.zeros((len(b) - begin, begin))
     points = np.asarray(problem.obs_point)[work.order]
     for o in range(len(work.order)):
-        if work.slots[o] >= 0:
-            p, f = 3 * points[o], 6 * work.slots[o]
+        if work.seen.slots[o] >= 0:
+            p, f = 3 * points[o], 6 * work.seen.slots[o]
             mixed[p : p + 3, f : f + 6] += W[o]
         if not work.is_active[o]:
             assert not W[o].any()
@@ -103,18 +103,16 @@ def test_a_step_solves_the_whole_damped_system(problem: BundleProblem, damping: 
     H += np.diag(damping * np.diag(H) + 1e-9)
     S = H[:begin, :begin] - H[:begin, begin:] @ np.linalg.solve(H[begin:, begin:], H[begin:, :begin])
     rhs = -b[:begin] + H[:begin, begin:] @ np.linalg.solve(H[begin:, begin:], b[begin:])
-    H_cc, b_c, H_pp, b_p, W = work.blocks
-    bundle_kernels.factor_points(H_pp, damping, work.factors)
+    blocks = work.blocks
+    bundle_kernels.factor_points(blocks.H_pp, damping, work.factors)
     got_S, got_rhs = np.empty((begin // 6, 6, begin // 6, 6)), np.empty((begin // 6, 6))
-    scratch = np.empty((int(np.diff(work.starts).max()), 3, 6))
-    bundle_kernels.reduce_to_cameras(
-        work.starts, work.slots, H_cc, b_c, work.factors, b_p, W, damping, scratch, got_S, got_rhs
-    )
+    scratch = np.empty((int(np.diff(work.seen.starts).max()), 3, 6))
+    bundle_kernels.reduce_to_cameras(work.sorted, blocks, work.factors, damping, scratch, got_S, got_rhs)
     got = symmetric(got_S.reshape(begin, begin))
     np.testing.assert_allclose(got, S, atol=1e-5 * np.abs(S).max())
     np.testing.assert_allclose(got_rhs.ravel(), rhs, atol=1e-5 * np.abs(rhs).max())
     for system in (DenseSystem, SparseSystem):
-        xi = system(begin // 6, work.starts, work.slots).solve(H_cc, b_c, work.factors, b_p, W, damping)
+        xi = system(begin // 6, work.sorted).solve(blocks, work.factors, damping)
         assert xi is not None
         np.testing.assert_allclose(xi.ravel(), np.linalg.solve(S, rhs), atol=1e-5)
 
@@ -127,7 +125,7 @@ def test_a_step_solves_the_whole_damped_system(problem: BundleProblem, damping: 
     expected_points = problem.points_world_m + whole[begin:].reshape(-1, 3)
     moved = np.empty_like(expected_points)
     xi = whole[:begin].reshape(-1, 6)
-    bundle_kernels.move_points(work.points, work.starts, work.slots, work.factors, b_p, W, xi, moved)
+    bundle_kernels.move_points(work.points, work.sorted, blocks, work.factors, xi, moved)
     np.testing.assert_allclose(moved, expected_points, atol=1e-5)
     shortened = np.abs(work.points_trial - expected_points).max(axis=1) > 1e-5  # would have crossed a camera's plane
     assert np.mean(shortened) < 0.3
@@ -135,10 +133,12 @@ def test_a_step_solves_the_whole_damped_system(problem: BundleProblem, damping: 
 
 def test_move_points_leaves_a_point_whose_step_is_not_finite() -> None:
     points, moved = np.array([[1.0, 2.0, 3.0]]), np.empty((1, 3))
-    starts, none = np.array([0, 0]), np.zeros((0, 3, 6))
-    bundle_kernels.move_points(
-        points, starts, np.zeros(0, np.int64), np.ones((1, 6)), np.full((1, 3), np.nan), none, np.zeros((0, 6)), moved
+    order = bundle_kernels.Order(np.array([0, 0]), np.zeros(0, np.int64))
+    none = np.zeros((0, 6))
+    blocks = bundle_kernels.Blocks(
+        np.zeros((0, 6, 6)), none, np.ones((1, 6)), np.full((1, 3), np.nan), np.zeros((0, 3, 6))
     )
+    bundle_kernels.move_points(points, order, blocks, np.ones((1, 6)), none, moved)
     np.testing.assert_array_equal(moved, points)
 
 
@@ -188,7 +188,7 @@ def test_mixed_block_is_the_product_of_both_jacobians() -> None:
     made = bundle(5, points=10).problem
     T, point, weight = made.T_cam_world[0], made.points_world_m[0], np.array([0.5, 0.3, 0.2])
     x = se3.transform(T, point[None])[0]
-    information = point_information(*x, 1.0, 2.0, 3.0, weight, 1.0, INTRINSICS)
+    information = point_information(tuple(x), (1.0, 2.0, 3.0), weight, 1.0, INTRINSICS)
     block = np.empty((3, 6))
     bundle_kernels.mixed_block(T, *x, information, block)
     expected = point_jacobian(T, point).T @ np.diag(weight) @ camera_jacobian(T, point)

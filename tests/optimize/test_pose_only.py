@@ -17,10 +17,16 @@ from stillroom.geometry import se3
 from stillroom.optimize.pose import (
     PoseOptimizer,
     PoseOptimizerConfig,
+    Seen,
     classify,
     damped_step,
     linearize_pose,
 )
+
+
+def seen_of(p, p_static: np.ndarray | None = None) -> Seen:
+    likely = np.ones(len(p.points)) if p_static is None else p_static
+    return Seen(p.points, p.observed, p.weights, likely, INTRINSICS)
 
 
 def test_linearize_matches_numpy_with_numerical_jacobians() -> None:
@@ -30,9 +36,7 @@ def test_linearize_matches_numpy_with_numerical_jacobians() -> None:
     is_active[5] = True
     p_static = np.random.default_rng(2).random(40)
     H, b = np.full((6, 6), 7.0), np.full(6, 7.0)
-    cost = linearize_pose(
-        p.T_guess, p.points, p.observed, p.weights, p_static, is_active, INTRINSICS, 5.991, 7.815, H, b
-    )
+    cost = linearize_pose(p.T_guess, seen_of(p, p_static), is_active, (5.991, 7.815), H, b)
 
     chi2 = chi_squares(p.T_guess, p.points, p.observed, p.weights)
     chi2[5] = (p.weights[5] * (2 * CAMERA.fx) ** 2).sum()
@@ -56,7 +60,7 @@ def test_the_gradient_is_that_of_the_cost() -> None:
 
     def cost(xi: np.ndarray) -> float:
         T = se3.exp(xi) @ p.T_guess
-        return linearize_pose(T, p.points, p.observed, p.weights, np.ones(60), active, INTRINSICS, 5.991, 7.815, H, b)
+        return linearize_pose(T, seen_of(p), active, (5.991, 7.815), H, b)
 
     slopes = [(cost(1e-6 * e) - cost(-1e-6 * e)) / 2e-6 for e in np.eye(6)]
     cost(np.zeros(6))
@@ -83,7 +87,7 @@ def test_classify_matches_numpy_and_counts_changes() -> None:
     chi2, is_inlier = np.empty(300), np.zeros(300, dtype=bool)
     is_inlier[::3] = True
     before = is_inlier.copy()
-    changed = classify(p.T_true, p.points, p.observed, p.weights, INTRINSICS, 5.991, 7.815, chi2, is_inlier)
+    changed = classify(p.T_true, seen_of(p), (5.991, 7.815), chi2, is_inlier)
     np.testing.assert_allclose(chi2, chi_squares(p.T_true, p.points, p.observed, p.weights), rtol=1e-8)
     np.testing.assert_array_equal(is_inlier, chi2 <= limits(p.weights))
     assert changed == np.count_nonzero(before != is_inlier)

@@ -73,7 +73,7 @@ def test_information_and_camera_blocks_match_numerical_jacobians(has_right: bool
         weight = rng.uniform(0.2, 1.0, 3) * [1.0, 1.0, has_right]
         x = se3.transform(problem.T_guess, point[None])[0]
         error = np.array(projection.residual(*x, observed, INTRINSICS, has_right))
-        information = projection.point_information(*x, *error, weight, 0.7, INTRINSICS)
+        information = projection.point_information(tuple(x), tuple(error), weight, 0.7, INTRINSICS)
         R = problem.T_guess[:3, :3]
         J_point = point_jacobian(problem.T_guess, point) @ R.T  # by the camera-frame point
         a00, a01, a02, a11, a12, a22 = information[:6]

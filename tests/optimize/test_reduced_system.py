@@ -8,7 +8,7 @@ from optimize_problems import CAMERA, predict
 from stillroom.geometry import se3
 from stillroom.optimize import reduced_system
 from stillroom.optimize.bundle import BundleConfig, BundleProblem, BundleResult
-from stillroom.optimize.bundle_kernels import factor_points
+from stillroom.optimize.bundle_kernels import Blocks, Order, factor_points
 from stillroom.optimize.reduced_system import DenseSystem, SparseSystem
 
 
@@ -51,9 +51,10 @@ def test_a_step_is_the_same_sparsely_and_densely(seed: int) -> None:
     factor_points(H_pp, 0.1, factors)
     root = rng.normal(size=(n_free, 6, 6))
     H_cc = root @ np.swapaxes(root, 1, 2) + 60.0 * np.eye(6)
-    blocks = (H_cc, rng.normal(size=(n_free, 6)), factors, rng.normal(size=(n_points, 3)), W, 0.1)
-    dense = DenseSystem(n_free, starts, slots).solve(*blocks)
-    sparse = SparseSystem(n_free, starts, slots).solve(*blocks)
+    blocks = Blocks(H_cc, rng.normal(size=(n_free, 6)), H_pp, rng.normal(size=(n_points, 3)), W)
+    order = Order(starts, slots)
+    dense = DenseSystem(n_free, order).solve(blocks, factors, 0.1)
+    sparse = SparseSystem(n_free, order).solve(blocks, factors, 0.1)
     assert dense is not None
     assert sparse is not None
     np.testing.assert_allclose(sparse, dense, rtol=1e-9, atol=1e-12)
@@ -78,9 +79,9 @@ def test_a_long_bundle_ends_at_the_same_place_sparsely(seed: int, monkeypatch: p
 
 
 def test_the_sparse_solver_is_chosen_for_many_keyframes() -> None:
-    starts, slots = np.zeros(2, dtype=np.int64), np.zeros(0, dtype=np.int64)
-    assert isinstance(reduced_system.reduced_system(20, starts, slots), DenseSystem)
-    assert isinstance(reduced_system.reduced_system(500, starts, slots), SparseSystem)
+    order = Order(np.zeros(2, dtype=np.int64), np.zeros(0, dtype=np.int64))
+    assert isinstance(reduced_system.reduced_system(20, order), DenseSystem)
+    assert isinstance(reduced_system.reduced_system(500, order), SparseSystem)
 
 
 def test_it_stops_when_told_and_what_it_has_is_sound() -> None:

@@ -13,6 +13,9 @@ import numpy as np
 from stillroom.geometry.arrays import F64, Bool, Floats, Ints
 from stillroom.geometry.camera import Camera
 from stillroom.optimize.bundle_kernels import (
+    Blocks,
+    Observations,
+    Order,
     evaluate,
     factor_points,
     keep_in_front,
@@ -116,17 +119,16 @@ class _Adjustment:
         self.order = np.argsort(obs_point * (len(self.free) + 1) + obs_slot, kind="stable")
         counts = np.bincount(obs_point, minlength=n_points)
         starts = np.concatenate((np.zeros(1, dtype=np.int64), np.cumsum(counts, dtype=np.int64)))
-        self.starts, self.slots = starts, obs_slot[self.order]
+        self.sorted = Order(starts, obs_slot[self.order])
         self.T = np.array(problem.T_cam_world, dtype=np.float64).reshape(-1, 4, 4)
         self.points = np.array(problem.points_world_m, dtype=np.float64).reshape(-1, 3)
         self.T_trial, self.points_trial = self.T.copy(), self.points.copy()
         self.weights = np.asarray(problem.weights, dtype=np.float64).reshape(-1, 3)[self.order]
         n_observations, n_free = len(self.order), len(self.free)
         self.is_active = np.ones(n_observations, dtype=np.bool_)
-        self.keyframes = np.asarray(problem.obs_keyframe, dtype=np.int64)[self.order]
-        self.observations = (
-            starts,
-            self.keyframes,
+        self.seen = Observations(
+            *self.sorted,
+            np.asarray(problem.obs_keyframe, dtype=np.int64)[self.order],
             np.asarray(problem.observed_px, dtype=np.float64).reshape(-1, 3)[self.order],
             self.weights,
             self._p_static(problem),
@@ -134,7 +136,7 @@ class _Adjustment:
             intrinsics_of(camera),
         )
         self.chi2 = np.empty(n_observations)
-        self.blocks = (
+        self.blocks = Blocks(
             np.empty((n_free, 6, 6)),
             np.empty((n_free, 6)),
             np.empty((n_points, 6)),
@@ -142,7 +144,7 @@ class _Adjustment:
             np.empty((n_observations, 3, 6)),
         )
         self.factors = np.empty((n_points, 6))
-        self.system = reduced_system(n_free, starts, self.slots)
+        self.system = reduced_system(n_free, self.sorted)
 
     def _p_static(self, problem: BundleProblem) -> F64:
         if problem.p_static is None:
@@ -151,22 +153,22 @@ class _Adjustment:
 
     def evaluate(self, T: F64, points: F64, deltas2: tuple[float, float]) -> float:
         """Return the robust cost of the active observations; leaves every observation's χ² in `chi2`."""
-        return float(evaluate(T, points, *self.observations, *deltas2, self.chi2))
+        return float(evaluate(T, points, self.seen, deltas2, self.chi2))
 
     def linearize(self, deltas2: tuple[float, float]) -> None:
         """Set up the normal equations at the present estimate."""
-        linearize(self.T, self.points, *self.observations, *deltas2, self.slots, *self.blocks)
+        linearize(self.T, self.points, self.seen, deltas2, self.blocks)
 
     def try_step(self, damping: float) -> bool:
         """Write the damped step's outcome into the trial estimate; return whether there is one."""
-        H_cc, b_c, H_pp, b_p, W = self.blocks
-        factor_points(H_pp, damping, self.factors)
-        xi = self.system.solve(H_cc, b_c, self.factors, b_p, W, damping)
+        factor_points(self.blocks.H_pp, damping, self.factors)
+        xi = self.system.solve(self.blocks, self.factors, damping)
         if xi is None:
             return False
         move_cameras(self.T, self.free, xi, self.T_trial)
-        move_points(self.points, self.starts, self.slots, self.factors, b_p, W, xi, self.points_trial)
-        keep_in_front(self.T, self.points, self.T_trial, self.points_trial, self.starts, self.keyframes, self.is_active)
+        move_points(self.points, self.sorted, self.blocks, self.factors, xi, self.points_trial)
+        starts, keyframes = self.seen.starts, self.seen.keyframes
+        keep_in_front(self.T, self.points, self.T_trial, self.points_trial, starts, keyframes, self.is_active)
         return True
 
     def accept(self) -> None:

@@ -5,6 +5,7 @@ Shapes: K keyframes of which F are free, P points, O observations. `starts` (P +
 """
 
 import math
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -26,22 +27,57 @@ DIAGONAL_FLOOR = 1e-9
 """Added to every diagonal entry: what nothing observes stays where it is, and nothing becomes singular."""
 
 
+class Order(NamedTuple):
+    """How the observations are sorted: `starts` (P + 1,) and `slots` (O,), both int64."""
+
+    starts: I64
+    slots: I64
+
+
+class Observations(NamedTuple):
+    """Who saw what where.
+
+    Attributes:
+        starts, slots: Their order.
+        keyframes: The observing keyframe of each (O,).
+        observed_px: u, v, u_right (O, 3) [px].
+        weights: Inverse variances (O, 3) [1/px²].
+        p_static: How much each counts (O,), 0 to 1.
+        is_active: Which count at all (O,).
+        intrinsics: Those of `intrinsics_of` (5,).
+    """
+
+    starts: I64
+    slots: I64
+    keyframes: I64
+    observed_px: F64
+    weights: F64
+    p_static: F64
+    is_active: Bool
+    intrinsics: F64
+
+
+class Blocks(NamedTuple):
+    """The normal equations, block by block.
+
+    Attributes:
+        H_cc, b_c: Cameras: lower triangles (F, 6, 6), and (F, 6).
+        H_pp, b_p: Points: lower triangles (P, 6) as 00 10 11 20 21 22, and (P, 3).
+        W: Mixed, one an observation (O, 3, 6), point by camera; 0 if inactive, the first half only of fixed cameras.
+    """
+
+    H_cc: F64
+    b_c: F64
+    H_pp: F64
+    b_p: F64
+    W: F64
+
+
 @numba.njit(nogil=True, cache=True)
-def evaluate(
-    T: F64,
-    points: F64,
-    starts: I64,
-    keyframes: I64,
-    observed: F64,
-    weights: F64,
-    p_static: F64,
-    is_active: Bool,
-    intrinsics: F64,
-    delta2_2d: float,
-    delta2_3d: float,
-    chi2: F64,
-) -> float:
+def evaluate(T: F64, points: F64, seen: Observations, deltas2: tuple[float, float], chi2: F64) -> float:
     """Write χ² (O,) of every observation; return the robust cost Σpρ of the active ones."""
+    starts, _, keyframes, observed, weights, p_static, is_active, intrinsics = seen
+    delta2_2d, delta2_3d = deltas2
     cost = 0.0
     for p in range(points.shape[0]):
         for o in range(starts[p], starts[p + 1]):
@@ -79,30 +115,11 @@ def point_block(R: F64, information: tuple[float, ...], block: F64) -> None:
 
 
 @numba.njit(nogil=True, cache=True)
-def linearize(
-    T: F64,
-    points: F64,
-    starts: I64,
-    keyframes: I64,
-    observed: F64,
-    weights: F64,
-    p_static: F64,
-    is_active: Bool,
-    intrinsics: F64,
-    delta2_2d: float,
-    delta2_3d: float,
-    slots: I64,
-    H_cc: F64,
-    b_c: F64,
-    H_pp: F64,
-    b_p: F64,
-    W: F64,
-) -> None:
-    """Write the normal equations' blocks, sums over the active observations.
-
-    Cameras: lower triangles `H_cc` (F, 6, 6), `b_c` (F, 6). Points: lower triangles `H_pp` (P, 6) as 00 10 11 20 21
-    22, `b_p` (P, 3). Mixed: `W` (O, 3, 6), point by camera; 0 if inactive, the first half only of fixed cameras.
-    """
+def linearize(T: F64, points: F64, seen: Observations, deltas2: tuple[float, float], blocks: Blocks) -> None:
+    """Write the normal equations' blocks, sums over the active observations."""
+    starts, slots, keyframes, observed, weights, p_static, is_active, intrinsics = seen
+    H_cc, b_c, H_pp, b_p, W = blocks
+    delta2_2d, delta2_3d = deltas2
     H_cc[:] = 0.0
     b_c[:] = 0.0
     for p in range(points.shape[0]):
@@ -119,8 +136,8 @@ def linearize(
                 continue
             has_right = weights[o, 2] > 0.0
             factor = p_static[o] * huber(chi2, delta2_3d if has_right else delta2_2d)[1]
-            e_u, e_v, e_r = residual(x, y, z, observed[o], intrinsics, has_right)
-            info = point_information(x, y, z, e_u, e_v, e_r, weights[o], factor, intrinsics)
+            error = residual(x, y, z, observed[o], intrinsics, has_right)
+            info = point_information((x, y, z), error, weights[o], factor, intrinsics)
             g0, g1, g2 = info[6], info[7], info[8]
             if slots[o] >= 0:
                 camera_blocks(x, y, z, info, H_cc[slots[o]], b_c[slots[o]])
@@ -185,24 +202,14 @@ def add_product(Za: F64, Zb: F64, block: F64) -> None:
 
 
 @numba.njit(nogil=True, cache=True)
-def reduce_to_cameras(
-    starts: I64,
-    slots: I64,
-    H_cc: F64,
-    b_c: F64,
-    L: F64,
-    b_p: F64,
-    W: F64,
-    damping: float,
-    Z: F64,
-    S: F64,
-    rhs: F64,
-) -> None:
+def reduce_to_cameras(order: Order, blocks: Blocks, L: F64, damping: float, Z: F64, S: F64, rhs: F64) -> None:
     """Write the damped reduced system: `S` (F, 6, F, 6), lower block triangle, and `rhs` (F, 6); S ξ = rhs.
 
     With H_pp = L Lᵀ and Z = W L⁻ᵀ, S = H_cc − Σ Z Zᵀ and rhs = −b_c + Σ Z L⁻¹ b_p, point by point. `Z` is scratch
     (3, 6) for as many observations as a point has at most.
     """
+    starts, slots = order
+    H_cc, b_c, _, b_p, W = blocks
     n_free = b_c.shape[0]
     shared = np.zeros((n_free, n_free, 6, 6))  # Σ Z Zᵀ in whole blocks: what is written together lies together
     rhs[:] = -b_c
@@ -242,8 +249,10 @@ def reduce_to_cameras(
 
 
 @numba.njit(nogil=True, cache=True)
-def move_points(points: F64, starts: I64, slots: I64, L: F64, b_p: F64, W: F64, xi: F64, moved: F64) -> None:
+def move_points(points: F64, order: Order, blocks: Blocks, L: F64, xi: F64, moved: F64) -> None:
     """Write points − H_pp⁻¹ (b_p + Σ Wᵀξ) into `moved` (P, 3), given the cameras' step `xi` (F, 6)."""
+    starts, slots = order
+    _, _, _, b_p, W = blocks
     for p in range(points.shape[0]):
         q0, q1, q2 = b_p[p, 0], b_p[p, 1], b_p[p, 2]
         for o in range(starts[p], starts[p + 1]):

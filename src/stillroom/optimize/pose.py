@@ -5,6 +5,7 @@ docs/reference.md#orb-slam2-tracking).
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -29,19 +30,36 @@ _TINY_STEP = 1e-7
 _TINY_DECREASE = 1e-7
 
 
+class Seen(NamedTuple):
+    """One camera's N observations, as the kernels take them.
+
+    Attributes:
+        points_world_m: The points (N, 3) float64 [m].
+        observed_px: u, v, u_right (N, 3) float64 [px].
+        weights: Inverse variances (N, 3) float64 [1/px²].
+        p_static: How much each counts (N,) float64, 0 to 1.
+        intrinsics: Those of `intrinsics_of` (5,).
+    """
+
+    points_world_m: F64
+    observed_px: F64
+    weights: F64
+    p_static: F64
+    intrinsics: F64
+
+
 @numba.njit(nogil=True, cache=True)
-def classify(
-    T: F64,
-    points_world_m: F64,
-    observed_px: F64,
-    weights: F64,
-    intrinsics: F64,
-    limit_2d: float,
-    limit_3d: float,
-    chi2: F64,
-    is_inlier: Bool,
-) -> int:
-    """Write χ² (N,) and whether it is within its limit (N,); return how many verdicts changed."""
+def classify(T: F64, seen: Seen, limits: tuple[float, float], chi2: F64, is_inlier: Bool) -> int:
+    """Write χ² (N,) and whether it is within its limit (N,); return how many verdicts changed.
+
+    Args:
+        T: The pose T_cam_world (4, 4).
+        seen: The observations.
+        limits: On χ², without and with a right coordinate.
+        chi2, is_inlier: What is written.
+    """
+    points_world_m, observed_px, weights, _, intrinsics = seen
+    limit_2d, limit_3d = limits
     changed = 0
     for i in range(points_world_m.shape[0]):
         x, y, z = to_camera(T, points_world_m[i, 0], points_world_m[i, 1], points_world_m[i, 2])
@@ -54,20 +72,18 @@ def classify(
 
 
 @numba.njit(nogil=True, cache=True)
-def linearize_pose(
-    T: F64,
-    points_world_m: F64,
-    observed_px: F64,
-    weights: F64,
-    p_static: F64,
-    is_active: Bool,
-    intrinsics: F64,
-    delta2_2d: float,
-    delta2_3d: float,
-    H: F64,
-    b: F64,
-) -> float:
-    """Write the normal equations of the pose, lower triangle of `H` (6, 6) and `b` (6,); return the robust cost Σpρ."""
+def linearize_pose(T: F64, seen: Seen, is_active: Bool, deltas2: tuple[float, float], H: F64, b: F64) -> float:
+    """Write the normal equations of the pose, lower triangle of `H` (6, 6) and `b` (6,); return the robust cost Σpρ.
+
+    Args:
+        T: The pose T_cam_world (4, 4).
+        seen: The observations.
+        is_active: Which of them count (N,).
+        deltas2: Huber's squared thresholds, without and with a right coordinate.
+        H, b: What is written.
+    """
+    points_world_m, observed_px, weights, p_static, intrinsics = seen
+    delta2_2d, delta2_3d = deltas2
     H[:] = 0.0
     b[:] = 0.0
     cost = 0.0
@@ -83,8 +99,8 @@ def linearize_pose(
             continue
         rho, factor = huber(chi2, delta2)
         cost += p_static[i] * rho
-        e_u, e_v, e_r = residual(x, y, z, observed_px[i], intrinsics, has_right)
-        information = point_information(x, y, z, e_u, e_v, e_r, weights[i], p_static[i] * factor, intrinsics)
+        error = residual(x, y, z, observed_px[i], intrinsics, has_right)
+        information = point_information((x, y, z), error, weights[i], p_static[i] * factor, intrinsics)
         camera_blocks(x, y, z, information, H, b)
     return cost
 
@@ -169,26 +185,26 @@ class _Problem:
     def __init__(
         self, points_world_m: Floats, observed_px: Floats, weights: Floats, camera: Camera, p_static: Floats | None
     ) -> None:
-        self.arrays = tuple(
+        points, observed, variances = (
             np.ascontiguousarray(array, dtype=np.float64).reshape(-1, 3)
             for array in (points_world_m, observed_px, weights)
         )
-        n = len(self.arrays[0])
-        self.p_static = np.ones(n) if p_static is None else np.asarray(p_static, dtype=np.float64)
-        self.intrinsics = intrinsics_of(camera)
+        n = len(points)
+        likely = np.ones(n) if p_static is None else np.ascontiguousarray(p_static, dtype=np.float64)
+        self.seen = Seen(points, observed, variances, likely, intrinsics_of(camera))
         self.chi2 = np.empty(n)
         self.is_inlier = np.zeros(n, dtype=np.bool_)
 
-    def classify(self, T_cam_world: F64, limit_2d: float, limit_3d: float) -> int:
+    def classify(self, T_cam_world: F64, limits: tuple[float, float]) -> int:
         """Judge every observation; return how many verdicts changed."""
-        return int(classify(T_cam_world, *self.arrays, self.intrinsics, limit_2d, limit_3d, self.chi2, self.is_inlier))
+        return int(classify(T_cam_world, self.seen, limits, self.chi2, self.is_inlier))
 
-    def minimize(self, T_cam_world: F64, iterations: int, delta2_2d: float, delta2_3d: float) -> tuple[F64, bool]:
+    def minimize(self, T_cam_world: F64, iterations: int, deltas2: tuple[float, float]) -> tuple[F64, bool]:
         """Run Levenberg–Marquardt on the inliers; return the pose and whether it converged."""
         H, b, H_trial, b_trial = np.empty((6, 6)), np.empty(6), np.empty((6, 6)), np.empty(6)
         T, T_trial = T_cam_world, np.empty((4, 4))
         damping = _FIRST_DAMPING
-        rest = (*self.arrays, self.p_static, self.is_inlier, self.intrinsics, delta2_2d, delta2_3d)
+        rest = self.seen, self.is_inlier, deltas2
         cost = linearize_pose(T, *rest, H, b)
         for _ in range(iterations):
             step = damped_step(H, b, damping, T, T_trial)
@@ -244,18 +260,19 @@ class PoseOptimizer:
         config = self.config
         guess = np.array(T_cam_world_guess, dtype=np.float64)
         problem = _Problem(points_world_m, observed_px, weights, camera, p_static)
-        problem.classify(guess, np.inf, np.inf)
+        limits = config.chi2_2d, config.chi2_3d
+        problem.classify(guess, (np.inf, np.inf))
         T = guess
         for round_index in range(config.rounds):
             if np.count_nonzero(problem.is_inlier) < MIN_OBSERVATIONS:
                 break
             robust = round_index < 3
-            deltas2 = (config.chi2_2d, config.chi2_3d) if robust else (np.inf, np.inf)
-            T, converged = problem.minimize(T, config.iterations, *deltas2)
-            changed = problem.classify(T, config.chi2_2d, config.chi2_3d)
+            deltas2 = limits if robust else (np.inf, np.inf)
+            T, converged = problem.minimize(T, config.iterations, deltas2)
+            changed = problem.classify(T, limits)
             if converged and not changed:
                 break
         if np.count_nonzero(problem.is_inlier) < MIN_OBSERVATIONS:
-            problem.classify(guess, -1.0, -1.0)
+            problem.classify(guess, (-1.0, -1.0))
             T = guess
         return PoseEstimate(T, problem.is_inlier, problem.chi2)

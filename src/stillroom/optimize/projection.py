@@ -83,12 +83,8 @@ def huber(chi2: float, delta2: float) -> tuple[float, float]:
 
 @numba.njit(nogil=True, cache=True)
 def point_information(
-    x: float,
-    y: float,
-    z: float,
-    e_u: float,
-    e_v: float,
-    e_r: float,
+    point: tuple[float, float, float],
+    error: tuple[float, float, float],
     weight: F64,
     factor: float,
     intrinsics: F64,
@@ -96,11 +92,20 @@ def point_information(
     """Return JᵀWJ and JᵀWe of one observation, J the derivative (3, 3) of (u, v, u_right) by the camera-frame point.
 
     Everything else follows: with G = [I, −[x]×] a camera's block is GᵀJᵀWJG, a point's RᵀJᵀWJR, the mixed one
-    GᵀJᵀWJR. `factor` is the robust kernel's.
+    GᵀJᵀWJR.
+
+    Args:
+        point: x, y, z in the camera's frame [m].
+        error: Predicted minus observed, from `residual` [px].
+        weight: Inverse variances (3,) [1/px²].
+        factor: The robust kernel's, times the probability that the point is static.
+        intrinsics: Those of `intrinsics_of` (5,).
 
     Returns:
         a00, a01, a02, a11, a12, a22 of the symmetric JᵀWJ [1/m²], then g0, g1, g2 of JᵀWe [1/m].
     """
+    x, y, z = point
+    e_u, e_v, e_r = error
     inv_z = 1.0 / z
     j_u0 = intrinsics[0] * inv_z
     j_u2 = -j_u0 * x * inv_z

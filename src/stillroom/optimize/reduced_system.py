@@ -3,7 +3,7 @@
 Both take the kernels' blocks (see `bundle_kernels`) and return the cameras' step.
 """
 
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numba
 import numpy as np
@@ -12,36 +12,49 @@ from scipy.sparse import bsr_matrix, csr_matrix, tril
 from scipy.sparse.linalg import splu
 
 from stillroom.geometry.arrays import F64, I32, I64
-from stillroom.optimize.bundle_kernels import DIAGONAL_FLOOR, reduce_to_cameras
+from stillroom.optimize.bundle_kernels import DIAGONAL_FLOOR, Blocks, Order, reduce_to_cameras
 
 SPARSE_FROM = 120
 """Free keyframes from which on most pairs share no point: a dense factorisation would mostly work on zeros."""
 
 
+class SparseBlocks(NamedTuple):
+    """The blocks of a lower block triangle that are not zero, row by row.
+
+    Attributes:
+        row_start: Where each row's blocks begin (F + 1,) int64.
+        columns: The column of each block (B,) int32, rising within a row.
+        values: The blocks (B, 6, 6).
+    """
+
+    row_start: I64
+    columns: I32
+    values: F64
+
+
 class ReducedSystem(Protocol):
     """Solves for the cameras."""
 
-    def solve(self, H_cc: F64, b_c: F64, factors: F64, b_p: F64, W: F64, damping: float) -> F64 | None:
+    def solve(self, blocks: Blocks, factors: F64, damping: float) -> F64 | None:
         """Return the damped step (F, 6); None where there is none."""
 
 
-def reduced_system(n_free: int, starts: I64, slots: I64) -> ReducedSystem:
+def reduced_system(n_free: int, order: Order) -> ReducedSystem:
     """Choose the solver for F free cameras and observations as `bundle_kernels` orders them."""
-    return (SparseSystem if n_free >= SPARSE_FROM else DenseSystem)(n_free, starts, slots)
+    return (SparseSystem if n_free >= SPARSE_FROM else DenseSystem)(n_free, order)
 
 
 class DenseSystem:
     """Cholesky factors of the whole matrix."""
 
-    def __init__(self, n_free: int, starts: I64, slots: I64) -> None:
-        self._starts, self._slots = starts, slots
-        self._scratch = _scratch(starts)
+    def __init__(self, n_free: int, order: Order) -> None:
+        self._order, self._scratch = order, _scratch(order.starts)
         self._S, self._rhs = np.empty((n_free, 6, n_free, 6)), np.empty((n_free, 6))
 
-    def solve(self, H_cc: F64, b_c: F64, factors: F64, b_p: F64, W: F64, damping: float) -> F64 | None:
+    def solve(self, blocks: Blocks, factors: F64, damping: float) -> F64 | None:
         """Return the damped step (F, 6); None where there is none."""
         S, rhs = self._S, self._rhs
-        reduce_to_cameras(self._starts, self._slots, H_cc, b_c, factors, b_p, W, damping, self._scratch, S, rhs)
+        reduce_to_cameras(self._order, blocks, factors, damping, self._scratch, S, rhs)
         size = rhs.size
         if not size:
             return np.zeros((0, 6))
@@ -56,38 +69,25 @@ class DenseSystem:
 class SparseSystem:
     """A factorisation that follows who shares points with whom: blocks of the lower triangle, row by row."""
 
-    def __init__(self, n_free: int, starts: I64, slots: I64) -> None:
-        self._starts, self._slots = starts, slots
-        self._scratch = _scratch(starts)
+    def __init__(self, n_free: int, order: Order) -> None:
+        self._order, self._scratch = order, _scratch(order.starts)
+        starts, slots = order
         point = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
         seen = slots >= 0
         sees = csr_matrix((np.ones(seen.sum(), dtype=np.int32), (slots[seen], point[seen])), (n_free, len(starts) - 1))
         itself = csr_matrix((np.ones(n_free, dtype=np.int32), (np.arange(n_free), np.arange(n_free))))
         pattern = tril(sees @ sees.T + itself, format="csr")
         pattern.sort_indices()
-        self._row_start = pattern.indptr.astype(np.int64)
-        self._columns = pattern.indices.astype(np.int32)
-        self._blocks, self._rhs = np.empty((len(self._columns), 6, 6)), np.empty((n_free, 6))
+        columns = pattern.indices.astype(np.int32)
+        self._S = SparseBlocks(pattern.indptr.astype(np.int64), columns, np.empty((len(columns), 6, 6)))
+        self._rhs = np.empty((n_free, 6))
 
-    def solve(self, H_cc: F64, b_c: F64, factors: F64, b_p: F64, W: F64, damping: float) -> F64 | None:
+    def solve(self, blocks: Blocks, factors: F64, damping: float) -> F64 | None:
         """Return the damped step (F, 6); None where there is none."""
-        reduce_sparsely(
-            self._starts,
-            self._slots,
-            H_cc,
-            b_c,
-            factors,
-            b_p,
-            W,
-            damping,
-            self._row_start,
-            self._columns,
-            self._scratch,
-            self._blocks,
-            self._rhs,
-        )
+        S = self._S
+        reduce_sparsely(self._order, blocks, factors, damping, self._scratch, S, self._rhs)
         size = self._rhs.size
-        lower = bsr_matrix((self._blocks, self._columns, self._row_start), shape=(size, size)).tocsr()
+        lower = bsr_matrix((S.values, S.columns, S.row_start), shape=(size, size)).tocsr()
         below = tril(lower, -1, format="csr")
         whole = (lower + below.T).tocsc()
         try:
@@ -122,27 +122,18 @@ def find_block(row_start: I64, columns: I32, row: int, column: int) -> int:
 
 @numba.njit(nogil=True, cache=True)
 def reduce_sparsely(
-    starts: I64,
-    slots: I64,
-    H_cc: F64,
-    b_c: F64,
-    L: F64,
-    b_p: F64,
-    W: F64,
-    damping: float,
-    row_start: I64,
-    columns: I32,
-    Z: F64,
-    blocks: F64,
-    rhs: F64,
+    order: Order, blocks: Blocks, L: F64, damping: float, Z: F64, sparse: SparseBlocks, rhs: F64
 ) -> None:
     """Write the damped reduced system as `reduce_to_cameras` does, but only the blocks that there are.
 
     Diagonal blocks (the last of each row) are filled in their lower triangle only. Slots rise within a point.
     """
-    blocks[:] = 0.0
+    starts, slots = order
+    H_cc, b_c, _, b_p, W = blocks
+    row_start, columns, values = sparse
+    values[:] = 0.0
     for f in range(b_c.shape[0]):
-        S = blocks[row_start[f + 1] - 1]
+        S = values[row_start[f + 1] - 1]
         for a in range(6):
             rhs[f, a] = -b_c[f, a]
             for b in range(a + 1):
@@ -168,7 +159,7 @@ def reduce_sparsely(
                 g = slots[other]
                 if g < 0:
                     continue
-                S = blocks[find_block(row_start, columns, f, g)]
+                S = values[find_block(row_start, columns, f, g)]
                 Zg = Z[other - starts[p]]
                 twice = g == f and other != o  # one keyframe, one point, two observations: both orders meet here
                 for a in range(6):

@@ -27,6 +27,7 @@ from stillroom.evaluation.ghosts.views import DepthView, settled, sightings
 from stillroom.features.places.branch_matching import match_by_branch
 from stillroom.features.places.training import TrainingConfig, train
 from stillroom.geometry.arrays import F64
+from stillroom.optimize.bundle_kernels import Blocks, Order
 from stillroom.optimize.reduced_system import SparseSystem
 from stillroom.protocols import MatchSieve, Parts
 from stillroom.semantics.depth_clusters import DepthClustersConfig
@@ -85,7 +86,8 @@ def reduce_sparsely() -> None:
     """Solve for one camera and one point as bundle adjustment does when there are many."""
     starts, slots = np.array([0, 1], dtype=np.int64), np.zeros(1, dtype=np.int64)
     H_cc, one_camera, one_point = np.eye(6)[None], np.zeros((1, 6)), np.zeros((1, 3))
-    SparseSystem(1, starts, slots).solve(H_cc, one_camera, np.ones((1, 6)), one_point, np.zeros((1, 3, 6)), 0.0)
+    blocks = Blocks(H_cc, one_camera, np.ones((1, 6)), one_point, np.zeros((1, 3, 6)))
+    SparseSystem(1, Order(starts, slots)).solve(blocks, np.ones((1, 6)), 0.0)
 
 
 def correct(slam: Slam) -> DenseCloud:

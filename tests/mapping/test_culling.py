@@ -73,8 +73,8 @@ def redundant_by_hand(small: SmallMap, keyframe: int) -> tuple[int, int]:
 
 def counted(small: SmallMap, keyframe: int) -> tuple[int, int]:
     rows, table, points = small.map.rows(keyframe), small.map.keypoints, small.map.points
-    columns = (table.point, table.depth_m, table.octave, table.keyframe, table.next_row)
-    return count_redundant(rows.start, rows.stop, CLOSE_M, *columns, points.first_row, points.is_alive)
+    columns = (table.depth_m, table.octave, points.is_alive)
+    return count_redundant(rows.start, rows.stop, CLOSE_M, small.map.lists, *columns)
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -1,6 +1,6 @@
 """Keypoints sorted into square cells, so that a window is searched and not the whole image."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -10,8 +10,7 @@ from stillroom.geometry.arrays import F32, I32
 CELL_PX = 16.0
 
 
-@dataclass(frozen=True)
-class Grid:
+class Grid(NamedTuple):
     """Cells row by row over the extent of the keypoints.
 
     Attributes:

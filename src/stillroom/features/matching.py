@@ -1,11 +1,12 @@
 """Finding described places again: in a window, along epipolar lines, or anywhere (ORB-SLAM2's searches)."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
-from stillroom.features.grid import CELL_PX, build_grid
+from stillroom.features.grid import CELL_PX, Grid, build_grid
 from stillroom.geometry.arrays import F32, F64, I32, U8, U64, Bool, Floats, Ints
 from stillroom.geometry.hamming import hamming, words
 
@@ -60,48 +61,43 @@ def search_windows(queries: Queries, targets: Targets, max_bits: int = FAR_BITS,
         Query (M,) and target (M,) of each match; a target wanted by several goes to the nearest of them.
     """
     grid = build_grid(targets.px)
+    q, t = queries, targets
     target, bits = _search_windows(
-        queries.px,
-        queries.radius_px,
-        queries.min_octave,
-        queries.max_octave,
-        queries.right_px,
-        words(queries.descriptors),
-        targets.px,
-        targets.octave,
-        targets.right_px,
-        words(targets.descriptors),
-        targets.usable,
-        grid.origin_px,
-        grid.shape,
-        grid.start,
-        grid.order,
+        _Wanted(q.px, q.radius_px, q.min_octave, q.max_octave, q.right_px, words(q.descriptors)),
+        _There(t.px, t.octave, t.right_px, words(t.descriptors), t.usable),
+        grid,
         max_bits,
         ratio,
     )
     return one_to_one(target, bits, len(targets.px))
 
 
+class _Wanted(NamedTuple):
+    """`Queries` as the kernel takes them; descriptors as words (Q, 4)."""
+
+    px: F32
+    radius_px: F32
+    min_octave: I32
+    max_octave: I32
+    right_px: F32
+    words: U64
+
+
+class _There(NamedTuple):
+    """`Targets` as the kernels take them; descriptors as words (N, 4)."""
+
+    px: F32
+    octave: I32
+    right_px: F32
+    words: U64
+    usable: Bool
+
+
 @njit(nogil=True, cache=True)
-def _search_windows(
-    query_px: F32,
-    radius_px: F32,
-    min_octave: I32,
-    max_octave: I32,
-    query_right_px: F32,
-    query_words: U64,
-    px: F32,
-    octave: I32,
-    right_px: F32,
-    target_words: U64,
-    usable: Bool,
-    origin_px: F32,
-    shape: I32,
-    start: I32,
-    order: I32,
-    max_bits: int,
-    ratio: float,
-) -> tuple[I32, I32]:
+def _search_windows(wanted: _Wanted, there: _There, grid: Grid, max_bits: int, ratio: float) -> tuple[I32, I32]:
+    query_px, radius_px, min_octave, max_octave, query_right_px, query_words = wanted
+    px, octave, right_px, target_words, usable = there
+    origin_px, shape, start, order = grid
     n = len(query_px)
     found = np.full(n, -1, np.int32)
     found_bits = np.full(n, 257, np.int32)
@@ -185,13 +181,8 @@ def search_epipolar(
     mine, theirs = np.flatnonzero(first.usable), np.flatnonzero(second.usable)
     target, bits = _search_epipolar(
         F_second_first,
-        first.px[mine].astype(np.float64),
-        first.right_px[mine],
-        words(first.descriptors[mine]),
-        second.px[theirs].astype(np.float64),
-        second.right_px[theirs],
-        second.octave[theirs],
-        words(second.descriptors[theirs]),
+        _described(first, mine),
+        _described(second, theirs),
         scale_factors,
         np.asarray(epipole_px, dtype=np.float64),
     )
@@ -199,19 +190,27 @@ def search_epipolar(
     return mine[query].astype(np.int32), theirs[found].astype(np.int32)
 
 
+class _Described(NamedTuple):
+    """Keypoints with positions (N, 2) float64 [px], and descriptors as words (N, 4)."""
+
+    px: F64
+    octave: I32
+    right_px: F32
+    words: U64
+
+
+def _described(targets: Targets, chosen: Ints) -> _Described:
+    t = targets
+    px = t.px[chosen].astype(np.float64)
+    return _Described(px, t.octave[chosen], t.right_px[chosen], words(t.descriptors[chosen]))
+
+
 @njit(nogil=True, cache=True)
 def _search_epipolar(
-    F: F64,
-    px1: F64,
-    right1: F32,
-    words1: U64,
-    px2: F64,
-    right2: F32,
-    octave2: I32,
-    words2: U64,
-    scale_factors: F64,
-    epipole_px: F64,
+    F: F64, first: _Described, second: _Described, scale_factors: F64, epipole_px: F64
 ) -> tuple[I32, I32]:
+    px1, _, right1, words1 = first
+    px2, octave2, right2, words2 = second
     found = np.full(len(px1), -1, np.int32)
     found_bits = np.full(len(px1), 257, np.int32)
     for i in range(len(px1)):

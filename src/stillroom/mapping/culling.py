@@ -4,6 +4,7 @@ import numpy as np
 from numba import njit
 
 from stillroom.data.map import Map
+from stillroom.data.map.links import Links
 from stillroom.geometry.arrays import F32, I32, Bool
 
 MIN_FOUND_RATIO = 0.25
@@ -49,16 +50,7 @@ def cull_keyframes(keyframe: int, close_depth_m: float, world: Map) -> list[int]
         rows = world.rows(candidate)
         table, points = world.keypoints, world.points
         n_close, n_redundant = count_redundant(
-            rows.start,
-            rows.stop,
-            close_depth_m,
-            table.point,
-            table.depth_m,
-            table.octave,
-            table.keyframe,
-            table.next_row,
-            points.first_row,
-            points.is_alive,
+            rows.start, rows.stop, close_depth_m, world.lists, table.depth_m, table.octave, points.is_alive
         )
         if n_close > 0 and n_redundant > REDUNDANT_SHARE * n_close:
             world.remove_keyframe(candidate)
@@ -71,15 +63,13 @@ def count_redundant(
     start: int,
     stop: int,
     close_depth_m: float,
-    row_point: I32,
+    links: Links,
     row_depth_m: F32,
     row_octave: I32,
-    row_keyframe: I32,
-    next_row: I32,
-    first_row: I32,
     is_alive: Bool,
 ) -> tuple[int, int]:
     """Count the close points that rows see, and those of them that three other keyframes see as finely."""
+    row_point, next_row, row_keyframe, first_row = links
     n_close, n_redundant = 0, 0
     for row in range(start, stop):
         point = row_point[row]

@@ -1,5 +1,7 @@
 """Kernels on the lists of observations. Rows are rows of `KeypointTable`, points rows of `PointTable`."""
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 
@@ -10,19 +12,43 @@ MAX_DESCRIPTORS = 20
 """Newest observations among which a point's typical descriptor is chosen; keeps the cost of old points bounded."""
 
 
+class Links(NamedTuple):
+    """Who sees what, as lists.
+
+    Attributes:
+        point: The point that each row sees (R,), −1 for none.
+        next_row: The row that saw the same point before (R,), −1 for none.
+        keyframe: The keyframe of each row (R,).
+        first_row: The newest row of each point's list (P,), −1 for none.
+    """
+
+    point: I32
+    next_row: I32
+    keyframe: I32
+    first_row: I32
+
+
+class Counts(NamedTuple):
+    """How often each point is seen (P,): with depth twice, and by how many keyframes."""
+
+    n_observations: I32
+    n_keyframes: I32
+
+
+class Viewing(NamedTuple):
+    """Where each point lies (P, 3) [m, world], its mean viewing direction (P, 3), and from how far it is found [m]."""
+
+    position_m: F64
+    normal: F64
+    min_distance_m: F64
+    max_distance_m: F64
+
+
 @njit(nogil=True, cache=True)
-def link(
-    points: I32,
-    rows: I64,
-    row_point: I32,
-    row_next: I32,
-    row_keyframe: I32,
-    row_right_px: F32,
-    first_row: I32,
-    n_observations: I32,
-    n_keyframes: I32,
-) -> int:
+def link(points: I32, rows: I64, links: Links, row_right_px: F32, counts: Counts) -> int:
     """Let each row see its point, unless it sees one already or its keyframe sees the point; count the links."""
+    row_point, row_next, row_keyframe, first_row = links
+    n_observations, n_keyframes = counts
     linked = 0
     for i in range(len(points)):
         point, row = points[i], rows[i]
@@ -43,16 +69,10 @@ def link(
 
 
 @njit(nogil=True, cache=True)
-def unlink(
-    rows: I64,
-    row_point: I32,
-    row_next: I32,
-    row_right_px: F32,
-    first_row: I32,
-    n_observations: I32,
-    n_keyframes: I32,
-) -> None:
+def unlink(rows: I64, links: Links, row_right_px: F32, counts: Counts) -> None:
     """Let each row see nothing."""
+    row_point, row_next, _, first_row = links
+    n_observations, n_keyframes = counts
     for i in range(len(rows)):
         row = rows[i]
         point = row_point[row]
@@ -157,22 +177,14 @@ def typical_descriptors(points: I32, row_next: I32, first_row: I32, words: U64, 
 
 @njit(nogil=True, cache=True)
 def viewing_geometry(
-    points: I32,
-    positions_m: F64,
-    row_next: I32,
-    first_row: I32,
-    row_keyframe: I32,
-    row_octave: I32,
-    T_world_cam: F64,
-    scale_factors: F64,
-    normals: F64,
-    min_distance_m: F64,
-    max_distance_m: F64,
+    points: I32, links: Links, row_octave: I32, T_world_cam: F64, scale_factors: F64, seen: Viewing
 ) -> None:
     """Update the mean viewing direction and the distances at which each point can be found again.
 
     The oldest observation sets the scale, as ORB-SLAM2's reference keyframe does.
     """
+    _, row_next, row_keyframe, first_row = links
+    positions_m, normals, min_distance_m, max_distance_m = seen
     for i in range(len(points)):
         p = points[i]
         row = first_row[p]

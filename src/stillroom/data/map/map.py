@@ -97,6 +97,12 @@ class Map:
         self._n_submaps = max(self._n_submaps, int(self.keyframes.submap.max(initial=-1)) + 1)
         return self._n_submaps
 
+    @property
+    def lists(self) -> links.Links:
+        """Who sees what, as kernels take it; no view outlives a growth."""
+        table = self.keypoints
+        return links.Links(table.point, table.next_row, table.keyframe, self.points.first_row)
+
     def rows(self, keyframe: int) -> slice:
         """Return where the keyframe's keypoints lie in the keypoint table."""
         start = int(self.keyframes.first_row[keyframe])
@@ -179,13 +185,9 @@ class Map:
             links.link(
                 point_ids.astype(np.int32),
                 rows.astype(np.int64),
-                table.point,
-                table.next_row,
-                table.keyframe,
+                self.lists,
                 table.right_px,
-                points.first_row,
-                points.n_observations,
-                points.n_keyframes,
+                links.Counts(points.n_observations, points.n_keyframes),
             )
         )
 
@@ -253,19 +255,15 @@ class Map:
 
     def refresh_geometry(self, point_ids: Ints) -> None:
         """Update viewing direction and distances of points (N,) after they or their keyframes moved."""
-        self.points.is_unsaved[point_ids] = True
+        points = self.points
+        points.is_unsaved[point_ids] = True
         links.viewing_geometry(
             point_ids.astype(np.int32),
-            self.points.position_m,
-            self.keypoints.next_row,
-            self.points.first_row,
-            self.keypoints.keyframe,
+            self.lists,
             self.keypoints.octave,
             self.keyframes.T_world_cam,
             self.scales.factors,
-            self.points.normal,
-            self.points.min_distance_m,
-            self.points.max_distance_m,
+            links.Viewing(points.position_m, points.normal, points.min_distance_m, points.max_distance_m),
         )
 
     def _unlink(self, rows: Ints) -> None:
@@ -277,10 +275,7 @@ class Map:
         self.keyframes.is_unsaved[table.keyframe[self.observations(losing)[1]]] = True
         links.unlink(
             rows.astype(np.int64),
-            table.point,
-            table.next_row,
+            self.lists,
             table.right_px,
-            points.first_row,
-            points.n_observations,
-            points.n_keyframes,
+            links.Counts(points.n_observations, points.n_keyframes),
         )

@@ -4,6 +4,8 @@ Sums are whole numbers: what was added is subtracted exactly, in any order, and 
 corrections.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 
@@ -91,26 +93,31 @@ def turn_normals(normals: I8, usable: U8, R_world_cam: F64) -> I8:
     return turned
 
 
+class Pixels(NamedTuple):
+    """Pixels (h, w) of a keyframe's cloud; see above."""
+
+    keys: I64
+    fine: U8
+    rgb: U8
+    normals: I8
+    weights: I32
+    usable: U8
+
+
+class Table(NamedTuple):
+    """The hash table of the voxels: the key and the row of each slot (S,)."""
+
+    slot_key: I64
+    slot_row: I32
+
+
 @njit(nogil=True, cache=True, error_model="numpy")
-def add_pixels(
-    keys: I64,
-    fine: U8,
-    rgb: U8,
-    normals: I8,
-    weights: I32,
-    usable: U8,
-    slot_key: I64,
-    slot_row: I32,
-    row_key: I64,
-    rows: I32,
-    n_rows: int,
-    newborn: I32,
-) -> tuple[int, int]:
+def add_pixels(pixels: Pixels, table: Table, row_key: I64, rows: I32, n_rows: int, newborn: I32) -> tuple[int, int]:
     """Add pixels to the voxels; a pixel for which there is no room or no voxel ceases to be usable.
 
     Args:
-        keys, fine, rgb, normals, weights, usable: The pixels; see above.
-        slot_key, slot_row: The hash table, with room for all that may come.
+        pixels: The pixels; `usable` changes.
+        table: The hash table, with room for all that may come.
         row_key, rows: Keys (N,) and columns (N, 13) of the rows, with room for all that may come.
         n_rows: Rows in use.
         newborn: Takes the rows that had no weight and now have.
@@ -118,6 +125,8 @@ def add_pixels(
     Returns:
         Rows in use afterwards, and the number of newborn rows.
     """
+    keys, fine, rgb, normals, weights, usable = pixels
+    slot_key, slot_row = table
     height, width = keys.shape
     n_newborn = 0
     last_key, row = EMPTY, -1
@@ -153,22 +162,13 @@ def add_pixels(
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def subtract_pixels(
-    keys: I64,
-    fine: U8,
-    rgb: U8,
-    normals: I8,
-    weights: I32,
-    usable: U8,
-    slot_key: I64,
-    slot_row: I32,
-    rows: I32,
-    added_at: int,
-) -> None:
+def subtract_pixels(pixels: Pixels, table: Table, rows: I32, added_at: int) -> None:
     """Take pixels out of the voxels that they were added to at the time `added_at`.
 
     Where a voxel was voided since, the pixel is no longer in it, and ceases to be usable: it showed what moved.
     """
+    keys, fine, rgb, normals, weights, usable = pixels
+    slot_key, slot_row = table
     height, width = keys.shape
     last_key, row = EMPTY, -1
     for y in range(height):

@@ -1,6 +1,7 @@
 """An ant colony that looks for a short path through all nodes from A to B (PSPNet-SLAM Eq. 12–15)."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -47,7 +48,8 @@ def shortest_found(nodes_px: F64, start: int, end: int, config: ColonyConfig, dr
         between = [k for k in range(n) if k not in (start, end)]
         return np.array(list(dict.fromkeys([start, *between, end])) if n else [], dtype=np.int64)
     best = np.empty(n, dtype=np.int64)
-    let_walk(nodes_px, start, end, draws, config.ants, config.alpha, config.beta, config.rho, pheromone.copy(), best)
+    rules = Rules(config.ants, config.alpha, config.beta, config.rho)
+    let_walk(nodes_px, (start, end), draws, rules, pheromone.copy(), best)
     return best
 
 
@@ -56,20 +58,20 @@ def length_px(nodes_px: F64, path: I64) -> float:
     return float(np.linalg.norm(np.diff(nodes_px[path], axis=0), axis=1).sum())
 
 
+class Rules(NamedTuple):
+    """How ants choose, and how their pheromone fades; see `ColonyConfig`."""
+
+    n_ants: int
+    alpha: float
+    beta: float
+    rho: float
+
+
 @numba.njit(nogil=True, cache=True)
-def let_walk(
-    nodes_px: F64,
-    start: int,
-    end: int,
-    draws: F64,
-    n_ants: int,
-    alpha: float,
-    beta: float,
-    rho: float,
-    pheromone: F64,
-    best: I64,
-) -> None:
+def let_walk(nodes_px: F64, ends: tuple[int, int], draws: F64, rules: Rules, pheromone: F64, best: I64) -> None:
     """Let the ants walk, round after round, and write the shortest path (n,) of all; arguments as `shortest_found`."""
+    start, end = ends
+    n_ants, alpha, beta, rho = rules
     n = len(nodes_px)
     distance_px, nearness, attraction = np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
     for i in range(n):

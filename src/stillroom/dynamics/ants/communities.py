@@ -1,5 +1,7 @@
 """Communities of moving points: their convex hulls, and growing these by ΔZ until nothing new is found."""
 
+from typing import NamedTuple
+
 import numba
 import numpy as np
 
@@ -70,17 +72,24 @@ def from_left(points_px: F64, chosen: I64) -> I64:
     return by_y[np.argsort(points_px[by_y, 0], kind="mergesort")]
 
 
+class Known(NamedTuple):
+    """What is known of the points (N,) so far.
+
+    Attributes:
+        is_tested: Which were tested; what is to be tested next counts as tested.
+        is_dynamic: Which of them move.
+        community: The community of each, NONE for most.
+        is_open: Which communities, by number, have something new in their band (N + 1,).
+    """
+
+    is_tested: Bool
+    is_dynamic: Bool
+    community: I64
+    is_open: Bool
+
+
 @numba.njit(nogil=True, cache=True)
-def widen(
-    points_px: F64,
-    rank: I64,
-    grow_px: float,
-    is_tested: Bool,
-    is_dynamic: Bool,
-    community: I64,
-    is_open: Bool,
-    untested: I64,
-) -> int:
+def widen(points_px: F64, rank: I64, grow_px: float, known: Known, untested: I64) -> int:
     """Grow all communities as far as what is known leads, and collect what must be tested to lead on.
 
     A community takes up whatever moves in the band around its hull, other communities with all that they have. Points
@@ -90,14 +99,13 @@ def widen(
         points_px: All points (N, 2).
         rank: In which order points found communities (N,).
         grow_px: ΔZ, the width of the band.
-        is_tested, is_dynamic: What is known of the points (N,); what is to be tested counts as tested from here on.
-        community: Of each point (N,), NONE for most; changes.
-        is_open: Which communities, by number, have something new in their band (N,); changes.
+        known: What is known of the points; changes.
         untested: Points around them to test now (N,); filled in.
 
     Returns:
         How many points are to be tested.
     """
+    is_tested, is_dynamic, community, is_open = known
     moving = from_left(points_px, np.flatnonzero(is_dynamic))
     unknown = np.flatnonzero(~is_tested)
     moving_px, unknown_px = points_px[moving], points_px[unknown]

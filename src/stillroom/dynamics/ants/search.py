@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numba
 import numpy as np
 
-from stillroom.dynamics.ants.communities import NONE, convex_hull, from_left, widen
+from stillroom.dynamics.ants.communities import NONE, Known, convex_hull, from_left, widen
 from stillroom.dynamics.ants.path import PathConfig
 from stillroom.dynamics.ants.scent import Scent, ScentConfig
 from stillroom.geometry.arrays import F64, I64, Bool
@@ -123,10 +123,10 @@ def search(points_px: F64, path_px: F64, test: Test, config: ReverseSearchConfig
         is_tested |= smells
     is_dynamic, is_open = np.zeros(n, dtype=np.bool_), np.zeros(n + 1, dtype=np.bool_)
     community, untested = np.full(n, NONE, dtype=np.int64), np.flatnonzero(is_tested)
-    wanted = np.empty(n, dtype=np.int64)
+    wanted, known = np.empty(n, dtype=np.int64), Known(is_tested, is_dynamic, community, is_open)
     while len(untested):
         is_dynamic[untested] = test(untested)
-        n_wanted = widen(points_px, node, config.grow_px, is_tested, is_dynamic, community, is_open, wanted)
+        n_wanted = widen(points_px, node, config.grow_px, known, wanted)
         untested = wanted[:n_wanted].copy()
     hulls, members = _communities(points_px, community, config.min_community)
     return Found(is_dynamic, is_tested, path_px, hulls, members)

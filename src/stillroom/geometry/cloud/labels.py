@@ -1,5 +1,7 @@
 """From labels of a cloud's points to a label image on all pixels."""
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 
@@ -30,24 +32,24 @@ def spread_labels(
     image = np.full(depth_m.shape, unknown, dtype=np.int16)
     if labels.size:
         z = np.ascontiguousarray(points_m[..., 2])
-        steps = (np.float32(step_m), np.float32(step_share))
-        spread_into(labels, z, depth_m, grid.rows, grid.columns, *steps, np.int16(unknown), image)
+        samples = Samples(labels, z, grid.rows, grid.columns)
+        spread_into(samples, depth_m, np.float32(step_m), np.float32(step_share), np.int16(unknown), image)
     return image
 
 
+class Samples(NamedTuple):
+    """Labels and depths of samples (h, w), and the pixel rows (h,) and columns (w,) that they were taken at."""
+
+    labels: I16
+    z: F32
+    rows: I32
+    columns: I32
+
+
 @njit(nogil=True, cache=True)
-def spread_into(
-    labels: I16,
-    z: F32,
-    depth_m: F32,
-    rows: I32,
-    columns: I32,
-    step_m: float,
-    step_share: float,
-    unknown: int,
-    image: I16,
-) -> None:
+def spread_into(samples: Samples, depth_m: F32, step_m: float, step_share: float, unknown: int, image: I16) -> None:
     """Fill the label image (H, W); see `spread_labels`."""
+    labels, z, rows, columns = samples
     last_i, last_j = len(rows) - 1, len(columns) - 1
     height, width = image.shape
     for i0 in range(last_i + 1):

@@ -41,29 +41,32 @@ def _nearest(points_m: F64, patches_m: F64, is_triangle: Bool, squared: F64) -> 
                 continue
             x, y, z = points_m[i, 0] - cx, points_m[i, 1] - cy, points_m[i, 2] - cz
             pp, pa, pb = x * x + y * y + z * z, x * ax + y * ay + z * az, x * bx + y * by + z * bz
+            products = pp, pa, pb, aa, bb, ab
             s, t = (pa * bb - pb * ab) / area2, (pb * aa - pa * ab) / area2
-            to_plane = _squared(pp, pa, pb, aa, bb, ab, s, t)
+            to_plane = _squared(products, s, t)
             if to_plane >= squared[i]:
                 continue
             is_inside = s >= 0.0 and t >= 0.0 and (s + t <= 1.0 if is_triangle[q] else max(s, t) <= 1.0)
-            nearest = to_plane if is_inside else _to_edges(pp, pa, pb, aa, bb, ab, is_triangle[q])
+            nearest = to_plane if is_inside else _to_edges(products, is_triangle[q])
             squared[i] = min(squared[i], max(0.0, nearest))
 
 
 @njit(nogil=True, cache=True)
-def _squared(pp: float, pa: float, pb: float, aa: float, bb: float, ab: float, s: float, t: float) -> float:
-    """Return |p − s·a − t·b|² from the products of p, a and b."""
+def _squared(products: tuple[float, ...], s: float, t: float) -> float:
+    """Return |p − s·a − t·b|² from the products p·p, p·a, p·b, a·a, b·b and a·b."""
+    pp, pa, pb, aa, bb, ab = products
     return pp - 2.0 * (s * pa + t * pb) + s * s * aa + 2.0 * s * t * ab + t * t * bb
 
 
 @njit(nogil=True, cache=True)
-def _to_edges(pp: float, pa: float, pb: float, aa: float, bb: float, ab: float, is_triangle: bool) -> float:
-    """Return the squared distance of p to the nearest edge of the patch."""
+def _to_edges(products: tuple[float, ...], is_triangle: bool) -> float:
+    """Return the squared distance of p to the nearest edge of the patch; products as of `_squared`."""
+    _, pa, pb, aa, bb, ab = products
     s, t = min(1.0, max(0.0, pa / aa)), min(1.0, max(0.0, pb / bb))
-    nearest = min(_squared(pp, pa, pb, aa, bb, ab, s, 0.0), _squared(pp, pa, pb, aa, bb, ab, 0.0, t))
+    nearest = min(_squared(products, s, 0.0), _squared(products, 0.0, t))
     if is_triangle:
         k = min(1.0, max(0.0, (pb - pa + aa - ab) / (aa + bb - 2.0 * ab)))
-        return float(min(nearest, _squared(pp, pa, pb, aa, bb, ab, 1.0 - k, k)))
+        return float(min(nearest, _squared(products, 1.0 - k, k)))
     s, t = min(1.0, max(0.0, (pa - ab) / aa)), min(1.0, max(0.0, (pb - ab) / bb))
-    far = min(_squared(pp, pa, pb, aa, bb, ab, s, 1.0), _squared(pp, pa, pb, aa, bb, ab, 1.0, t))
+    far = min(_squared(products, s, 1.0), _squared(products, 1.0, t))
     return float(min(nearest, far))

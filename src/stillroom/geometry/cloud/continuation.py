@@ -4,6 +4,7 @@ A person before a wall stands a step from it, and the legs on a floor stand upri
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -40,16 +41,29 @@ def planes_of_cells(points: F32, plane_of: I16, cell: int, n_planes: int) -> I16
     return mostly
 
 
+class Reach(NamedTuple):
+    """How far a plane goes on.
+
+    Attributes:
+        max_misfit: Largest misfit of a cell's own plane [1/m].
+        max_off: Largest distance of a cell from the plane, in inverse depth [1/m].
+        max_step: Largest difference of neighbouring cells in that [1/m].
+        cosine: Least cosine between a cell's normal and the plane's.
+    """
+
+    max_misfit: float
+    max_off: float
+    max_step: float
+    cosine: float
+
+
 @njit(nogil=True, cache=True)
 def continue_planes(
     sums: F64,
     misfits: F64,
     slopes: F64,
     of_cell: I16,
-    max_misfit: float,
-    max_off: float,
-    max_step: float,
-    cosine: float,
+    reach: Reach,
 ) -> I16:
     """Grow planes over flat neighbouring cells that are turned like them, and a small step off.
 
@@ -58,14 +72,12 @@ def continue_planes(
         misfits: Misfit of each cell's own plane (rows, columns) [1/m].
         slopes: a, b, c of the planes (Q, 3).
         of_cell: Plane of each cell (rows, columns), −1 for none; written to.
-        max_misfit: Largest misfit of a cell's own plane [1/m].
-        max_off: Largest distance of a cell from the plane, in inverse depth [1/m].
-        max_step: Largest difference of neighbouring cells in that [1/m].
-        cosine: Least cosine between a cell's normal and the plane's.
+        reach: What a cell must be like.
 
     Returns:
         Plane of the cells that were added (rows, columns), −1 for the others.
     """
+    max_misfit, max_off, max_step, cosine = reach
     rows, columns = of_cell.shape
     added = np.full((rows, columns), -1, dtype=np.int16)
     off = np.zeros((rows, columns))

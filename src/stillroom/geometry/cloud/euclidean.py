@@ -3,6 +3,8 @@
 Why not a library: docs/reference.md#library-measurements.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 
@@ -41,7 +43,7 @@ def euclidean_clusters(points: Floats, tolerance: float) -> I32:
     cell_of, n_cells, first_of, table = cell_of_points(cells, table_size(len(cells)))
     order = np.argsort(cell_of, kind="stable")
     start = np.append(0, np.cumsum(np.bincount(cell_of, minlength=n_cells)))
-    labels: I32 = union_neighbours(exact, cells, order, start, first_of, table, FORWARD, tolerance)
+    labels: I32 = union_neighbours(exact, Cells(cells, order, start, first_of, table), FORWARD, tolerance)
     return labels
 
 
@@ -70,30 +72,43 @@ def depth_scaled(points_m: Floats, tolerance_m: float, tolerance_share: float) -
     return scaled
 
 
+class Cells(NamedTuple):
+    """N points sorted into M cells.
+
+    Attributes:
+        cells: Integer cell of each point (N, 3).
+        order: Points sorted by the number of their cell (N,).
+        start: Where each cell's points start in `order` (M + 1,).
+        first_of, table: A point of each cell, and the cells' hash table; see `slot_of`.
+    """
+
+    cells: I64
+    order: I64
+    start: I64
+    first_of: I32
+    table: I32
+
+
 @njit(nogil=True, cache=True)
-def union_neighbours(
-    points: F64, cells: I64, order: I64, start: I64, first_of: I32, table: I32, forward: I64, tolerance: float
-) -> I32:
+def union_neighbours(points: F64, grid: Cells, forward: I64, tolerance: float) -> I32:
     """Join all pairs within the tolerance by union-find, looking in neighbouring cells only.
 
     Args:
         points: Points (N, 3).
-        cells: Integer cell of each (N, 3).
-        order: Points sorted by the number of their cell (N,).
-        start: Where each cell's points start in `order` (M + 1,).
-        first_of, table: A point of each cell, and the cells' hash table; see `slot_of`.
+        grid: The points in cells.
         forward: Offsets of the neighbours to look in (13, 3).
         tolerance: Largest distance of neighbours.
 
     Returns:
         Cluster of each point (N,), numbered as the points come.
     """
+    cells, _, start, first_of, table = grid
     n_cells = len(start) - 1
     parent = np.arange(len(points)).astype(np.int32)
     whole = np.empty(n_cells, dtype=np.bool_)
     for c in range(n_cells):
-        join_cells(points, order, start, c, c, tolerance, parent, False)
-        whole[c] = is_whole(order, start, c, parent)
+        join_cells(points, grid, (c, c), tolerance, parent, False)
+        whole[c] = is_whole(grid.order, start, c, parent)
     for c in range(n_cells):
         key = cells[first_of[c]]
         for k in range(len(forward)):
@@ -103,7 +118,7 @@ def union_neighbours(
                 continue
             both = whole[c] and whole[other]
             if not (both and root_of(parent, first_of[c]) == root_of(parent, first_of[other])):
-                join_cells(points, order, start, c, other, tolerance, parent, both)
+                join_cells(points, grid, (c, other), tolerance, parent, both)
     label = np.full(len(points), -1, dtype=np.int32)
     n_clusters = 0
     for i in range(len(points)):
@@ -118,12 +133,14 @@ def union_neighbours(
 
 @njit(nogil=True, cache=True)
 def join_cells(
-    points: F64, order: I64, start: I64, c: int, other: int, tolerance: float, parent: I32, one_is_enough: bool
+    points: F64, grid: Cells, pair: tuple[int, int], tolerance: float, parent: I32, one_is_enough: bool
 ) -> None:
     """Join what lies within the tolerance between two cells, or within one if they are the same.
 
     Where each of the two is one cluster already, the first pair decides.
     """
+    order, start = grid.order, grid.start
+    c, other = pair
     largest = tolerance * tolerance
     for a in range(start[c], start[c + 1]):
         i = order[a]

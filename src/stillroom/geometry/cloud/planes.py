@@ -8,7 +8,7 @@ import numpy as np
 
 from stillroom.geometry.arrays import F32, F64, I16, I32, U16, Bool
 from stillroom.geometry.cloud.bend import N_TERMS, area_moments, parabola_sums, plane_misfits, unbend
-from stillroom.geometry.cloud.continuation import continue_planes, give_samples, planes_of_cells
+from stillroom.geometry.cloud.continuation import Reach, continue_planes, give_samples, planes_of_cells
 from stillroom.geometry.cloud.plane_fit import cell_misfits, cell_sums, fit, grow_regions, misfit
 
 NO_PLANE = -1
@@ -95,8 +95,8 @@ def find_planes(points_m: F32, ray_area: float, limits: PlaneLimits) -> Planes:
     if kept:
         slopes = np.array([slope for slope, _ in kept])
         of_cell = planes_of_cells(points_m, plane_of, limits.cell, len(kept))
-        reach = (limits.max_misfit, limits.max_off, limits.max_step, math.cos(limits.max_turn_rad))
-        added = continue_planes(sums, misfits, slopes, of_cell, *reach)
+        reach = Reach(limits.max_misfit, limits.max_off, limits.max_step, math.cos(limits.max_turn_rad))
+        added = continue_planes(sums, misfits, slopes, of_cell, reach)
         give_samples(points_m, sums, added, limits.cell, limits.tolerance, plane_of)
     return _sorted(kept, plane_of)
 

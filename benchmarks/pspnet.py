@@ -22,10 +22,10 @@ from stillroom.datasets.open import open_dataset
 from stillroom.semantics.masks.pspnet import pspnet
 from stillroom.semantics.masks.refine import RefineConfig, refined
 from stillroom.semantics.masks.segments import HalfImage, Segments
-from stillroom.training.evaluate import called_person, overlap
-from stillroom.training.pictures.gather import PERSON, held_out
-from stillroom.training.pictures.teacher import Teacher
 from stillroom.viz.marks import draw_outline, enlarged, tint
+from stillroom_train.pspnet.evaluate import called_person, overlap
+from stillroom_train.pspnet.pictures.gather import PERSON, held_out
+from stillroom_train.pspnet.pictures.teacher import Teacher
 
 SIZES_PX = (640, 512, 320)
 EMPTY = range(0, 200, 4)

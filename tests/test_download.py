@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from stillroom.datasets.open import open_dataset
-from stillroom.download import MODELS, OFFICIAL, Addresses, download, download_pspnet_r50, fetch, targets
+from stillroom.download import OFFICIAL, Addresses, download, fetch, targets
 from stillroom.errors import DownloadError
 from stillroom.testing.tiny_sequence import write_tiny_sequence
 
@@ -309,46 +309,15 @@ def test_a_zip_that_leads_out_is_removed(server: Server, tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize(
-    "target", ["", "tum", "tum/", "tum/freiburg4_x", "tum/../x", "bonn/../../x", "bonn/", "kitti/00", "models/x"]
+    "target", ["", "tum", "tum/", "tum/freiburg4_x", "tum/../x", "bonn/../../x", "bonn/", "kitti/00", "models"]
 )
 def test_an_unknown_target_names_the_known_ones(target: str, tmp_path: Path) -> None:
-    with pytest.raises(DownloadError, match=r"nothing of this name .*tum/<name>.*bonn/<name>.*models"):
+    with pytest.raises(DownloadError, match=r"nothing of this name .*tum/<name>.*bonn/<name>.*pspnet-r50"):
         download(target, tmp_path)
 
 
-def test_the_models_come_with_their_checksums(server: Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    contents = {name: f"content of {name}".encode() for name in MODELS}
-    monkeypatch.setattr(
-        "stillroom.download.targets.MODELS",
-        {name: hashlib.sha256(content).hexdigest() for name, content in contents.items()},
-    )
-    for name, content in contents.items():
-        server.files[f"/names/{name}" if name == "coco.names" else f"/branch/{name}"] = content
-    addresses = Addresses(
-        # The first address has nothing: the second is tried.
-        yolo_fastest=(f"{server.address}/commit", f"{server.address}/branch"),
-        coco_names=(f"{server.address}/names/coco.names",),
-    )
-    came = download("models", tmp_path, addresses=addresses)
-    assert came == tmp_path / "yolo_fastest"
-    assert {path.name: path.read_bytes() for path in came.iterdir()} == contents
-    assert ("/commit/yolo-fastest-1.1.cfg", None) in server.asked
-
-
-def test_models_with_another_content_are_refused(server: Server, tmp_path: Path) -> None:
-    server.files["/coco.names"] = b"person\n"
-    with pytest.raises(DownloadError, match="came with checksum"):
-        download("models", tmp_path, addresses=Addresses(coco_names=(f"{server.address}/coco.names",)))
-
-
-def test_the_known_checksums_are_those_of_the_real_files(yolo_weights: Path) -> None:
-    assert len(MODELS) == 5
-    for name, sha256 in MODELS.items():
-        assert hashlib.sha256((yolo_weights / name).read_bytes()).hexdigest() == sha256
-
-
 def test_the_official_addresses_are_secure() -> None:
-    for address in (OFFICIAL.tum, OFFICIAL.bonn, *OFFICIAL.yolo_fastest, *OFFICIAL.coco_names):
+    for address in (OFFICIAL.tum, OFFICIAL.bonn, OFFICIAL.pspnet_r50):
         assert address.startswith("https://")
 
 
@@ -359,7 +328,7 @@ def test_the_checkpoint_of_pspnet_must_be_the_one_that_is_meant(server: Server, 
     )
     server.files[f"/mm/{name}"] = CONTENT
     with pytest.raises(DownloadError, match="is not the file that was meant"):
-        download_pspnet_r50(tmp_path, addresses=Addresses(pspnet_r50=f"{server.address}/mm"))
+        download("pspnet-r50", tmp_path, addresses=Addresses(pspnet_r50=f"{server.address}/mm"))
     assert list(tmp_path.iterdir()) == []
     assert server.asked[-1][0] == f"/mm/{name}"
 
@@ -367,12 +336,12 @@ def test_the_checkpoint_of_pspnet_must_be_the_one_that_is_meant(server: Server, 
 def test_the_right_checkpoint_of_pspnet_is_kept(
     server: Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    server.files[f"/mm/{targets.PSPNET_R50}"] = CONTENT
+    server.files[f"/mm/{targets.PSPNET_R50_FILE}"] = CONTENT
     monkeypatch.setattr(targets, "PSPNET_R50_MD5", hashlib.md5(CONTENT).hexdigest())
     monkeypatch.setattr(targets, "PSPNET_R50_SHA256_BEGINS", SHA256[:8])
-    place = download_pspnet_r50(tmp_path, addresses=Addresses(pspnet_r50=f"{server.address}/mm"))
+    place = download("pspnet-r50", tmp_path, addresses=Addresses(pspnet_r50=f"{server.address}/mm"))
     assert place.read_bytes() == CONTENT
     monkeypatch.setattr(targets, "PSPNET_R50_SHA256_BEGINS", "00000000")
     place.unlink()
     with pytest.raises(DownloadError, match="is not the file that was meant"):
-        download_pspnet_r50(tmp_path, addresses=Addresses(pspnet_r50=f"{server.address}/mm"))
+        download("pspnet-r50", tmp_path, addresses=Addresses(pspnet_r50=f"{server.address}/mm"))

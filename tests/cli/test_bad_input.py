@@ -150,16 +150,16 @@ def test_a_request_that_cannot_be_is_one_line(case: str, recorded: Path, stillro
         assert word in said.errors[0]
 
 
-def test_absent_weights_without_network(
+def test_an_absent_network_is_one_line(
     recorded: Path, stillroom: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("STILLROOM_MODELS", str(tmp_path / "none"))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    said = stillroom("run", recorded, "--method", "oc-slam")
+    said = stillroom("run", recorded, "--method", "oc-slam", "--set", "semantics.model=detector.onnx")
     assert said.code == 1
     assert said.err.count("\n") == 1
-    assert "YOLO-Fastest's weights are not in" in said.err
-    assert "stillroom download models" in said.err
+    assert "no such network" in said.err
+    assert "detector.onnx" in said.err
     assert list(Path.cwd().iterdir()) == []
 
 

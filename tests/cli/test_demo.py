@@ -16,7 +16,8 @@ app.command()(demo)
 
 
 @pytest.fixture
-def without_weights(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def bare(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A machine on which nothing was ever fetched, in an empty folder."""
     monkeypatch.setenv("STILLROOM_MODELS", str(tmp_path / "absent"))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.chdir(tmp_path)
@@ -44,28 +45,16 @@ def check_files(result: Result, root: Path) -> None:
         assert any(folder.name in str(path) for path in named)
 
 
-def test_without_weights_it_takes_the_renderers_boxes_and_says_so(without_weights: None, tmp_path: Path) -> None:
+def test_it_needs_nothing_that_must_be_fetched(bare: None, tmp_path: Path) -> None:
     result = invoke("--frames", "0:30", "--out", "results")
     assert result.exit_code == 0, result.output
-    assert "detector: the renderer's own boxes, because YOLO-Fastest's weights are not in" in result.stdout
-    assert "stillroom download models" in result.stdout
     assert "a camera that never moved has 0." in result.stdout
     check_files(result, tmp_path / "results")
     (folder,) = (tmp_path / "results").glob("*_oc-slam_*")
-    assert re.search(r'^kind = "truth"', (folder / "config.toml").read_text(), re.MULTILINE)
+    assert re.search(r'^kind = "yolo-fastest"', (folder / "config.toml").read_text(), re.MULTILINE)
 
 
-def test_with_weights_it_takes_yolo_fastest(
-    yolo_weights: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("STILLROOM_MODELS", str(yolo_weights.parent))
-    result = invoke("--frames", "0:12", "--out", str(tmp_path))
-    assert result.exit_code == 0, result.output
-    assert f"detector: YOLO-Fastest, its weights from {yolo_weights}" in result.stdout
-    check_files(result, tmp_path)
-
-
-def test_ctrl_c_ends_it(without_weights: None, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ctrl_c_ends_it(bare: None, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(StopRequest, "__enter__", lambda self: setattr(self, "asked", True) or self)
     result = invoke("--frames", "0:5")
     assert result.exit_code == 130
@@ -87,13 +76,5 @@ def check_promises(root: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_whole_demo_keeps_its_promise_without_weights(without_weights: None, tmp_path: Path) -> None:
-    check_promises(tmp_path / "results")
-
-
-@pytest.mark.slow
-def test_the_whole_demo_keeps_its_promise_with_weights(
-    yolo_weights: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("STILLROOM_MODELS", str(yolo_weights.parent))
+def test_the_whole_demo_keeps_its_promise(bare: None, tmp_path: Path) -> None:
     check_promises(tmp_path / "results")

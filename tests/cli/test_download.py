@@ -15,7 +15,7 @@ from typer.testing import CliRunner, Result
 from stillroom.cli import download as command
 from stillroom.datasets.open import open_dataset
 from stillroom.download import Addresses
-from stillroom.errors import ConfigError, DownloadError
+from stillroom.errors import DownloadError
 from stillroom.testing.tiny_sequence import write_tiny_sequence
 
 app = typer.Typer()
@@ -97,17 +97,11 @@ def test_ctrl_c_says_that_nothing_is_lost(served: Path, monkeypatch: pytest.Monk
     assert "the same command goes on" in result.output
 
 
-def test_the_checkpoint_comes_beside_the_models(served: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_network_goes_to_the_models(served: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[tuple[str, Path]] = []
     monkeypatch.setattr(command, "fetch_target", lambda target, folder, *_: asked.append((target, folder)) or folder)
-    monkeypatch.setattr(
-        command, "fetch_pspnet_r50", lambda folder, *_: asked.append(("r50", folder)) or folder / "r50.pth"
-    )
-    own = tmp_path / "own"
-    result = run("models", "--pspnet-r50", "--to", str(own))
+    monkeypatch.setenv("STILLROOM_MODELS", str(tmp_path / "models"))
+    result = run("pspnet-r50")
     assert result.exit_code == 0, result.output
-    assert asked == [("models", own), ("r50", own)]
-    assert result.output.splitlines() == [str(own), str(own / "r50.pth")]
-    wrong = run("bonn/tiny", "--pspnet-r50")
-    assert isinstance(wrong.exception, ConfigError)
-    assert len(asked) == 2
+    assert asked == [("pspnet-r50", tmp_path / "models")]
+    assert result.output.splitlines() == [str(tmp_path / "models")]  # and no word of running it

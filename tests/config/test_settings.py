@@ -250,3 +250,15 @@ def test_a_key_that_sets_nothing_any_more_is_ignored_and_said_so(caplog: pytest.
     assert "'dynamics.min_matches' is ignored" in caplog.text
     with pytest.raises(ConfigError, match=r"unknown key 'mapping\.min_matches'"):
         with_overrides(config, ["mapping.min_matches=20"])
+
+
+def test_a_key_that_one_kind_had_is_ignored_for_that_kind_only(caplog: pytest.LogCaptureFixture) -> None:
+    """Written by versions that were told where YOLO-Fastest's own files lie."""
+    old = {"semantics": {"kind": "yolo-fastest", "confidence": 0.5, "folder": ""}}
+    assert updated(SlamConfig(), old, "old.toml").semantics == YoloFastestConfig(confidence=0.5)
+    assert "'semantics.folder' is ignored" in caplog.text
+    boxes = ["semantics.kind=onnx-boxes", "semantics.layout=darknet"]
+    assert with_overrides(SlamConfig(), [*boxes, "semantics.darknet_cfg=my.cfg"]) == with_overrides(SlamConfig(), boxes)
+    for kind, key in (("nothing", "folder"), ("onnx-boxes", "folder"), ("yolo-fastest", "darknet_cfg")):
+        with pytest.raises(ConfigError, match=rf"unknown key 'semantics\.{key}'"):
+            with_overrides(SlamConfig(), [f"semantics.kind={kind}", f"semantics.{key}=x"])

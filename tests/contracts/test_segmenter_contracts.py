@@ -107,14 +107,14 @@ def test_keeps_the_contract(case: Case, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("variant", ["1.1", "1.1-xl"])
 @pytest.mark.parametrize("carry", [True, False])
-def test_yolo_fastest_keeps_the_contract(variant: str, carry: bool, yolo_weights: Path, bonn: Path) -> None:
+def test_yolo_fastest_keeps_the_contract(variant: str, carry: bool, bonn: Path) -> None:
     files = [line.split() for line in (bonn / "rgb.txt").read_text().splitlines() if not line.startswith("#")]
     images = []
     for index in range(420, 424):
         stamp, name = files[index]
         rgb = cv2.cvtColor(cv2.imread(str(bonn / name)), cv2.COLOR_BGR2RGB)
         images.append(RgbdImage(index, float(stamp), rgb, np.zeros(rgb.shape[:2], np.float32)))
-    config = YoloFastestConfig(variant, folder=str(yolo_weights), carry=CarryConfig(enabled=carry))
+    config = YoloFastestConfig(variant, carry=CarryConfig(enabled=carry))
     answers = check_segmenter(config.build, images)
     assert all(answer.boxes for answer in answers)
 

@@ -131,10 +131,10 @@ def test_the_empty_room_has_next_to_no_ghosts_in_itself(bonn: Path) -> None:
     assert figure.n_suspects > 0.05 * figure.n_points
 
 
-def test_people_are_ghosts_and_the_room_around_their_boxes_is_none(bonn: Path, yolo_weights: Path) -> None:
+def test_people_are_ghosts_and_the_room_around_their_boxes_is_none(bonn: Path) -> None:
     dataset, views = open_bonn(bonn), bonn_views(bonn)
     camera, reference = dataset.camera, [views[index] for index in range(0, 200, 10)]
-    detector = YoloFastestConfig(folder=str(yolo_weights)).build_detector(0.3)
+    detector = YoloFastestConfig().build_detector(0.3)
     mapped = range(200, 560, 20)
 
     def beside_people(index: int) -> Bool:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from stillroom.training.pictures.example import PEOPLE, Example
+from stillroom_train.pspnet.pictures.example import PEOPLE, Example
 
 PERSON = 15
 

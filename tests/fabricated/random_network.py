@@ -3,7 +3,7 @@
 import numpy as np
 
 from stillroom.geometry.arrays import F32
-from stillroom.training.networks.registry import architecture
+from stillroom_train.pspnet.networks.registry import architecture
 
 
 def random_weights(backbone: str) -> dict[str, F32]:

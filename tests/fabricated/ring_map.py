@@ -6,10 +6,11 @@ import numpy as np
 from small_world import SmallMap, SmallWorld
 
 from stillroom.data.map import Map
+from stillroom.features.places.growth import GrowthConfig
 from stillroom.features.places.place_memory import PlaceMemory
-from stillroom.features.places.training import TrainingConfig, train
 from stillroom.features.places.vocabulary import Vocabulary
 from stillroom.geometry import se3
+from stillroom_train.vocabulary import train
 
 RADIUS_M = 5.0
 
@@ -97,4 +98,4 @@ def bend(world: Map, twist: np.ndarray) -> None:
 def vocabulary_of(world: SmallWorld) -> Vocabulary:
     """A vocabulary of a world's own descriptors."""
     images = [world.descriptors[start : start + 100] for start in range(0, len(world.descriptors), 100)]
-    return train(images, TrainingConfig(branching=8, depth=3, min_descriptors=8, iterations=3))
+    return train(images, GrowthConfig(branching=8, depth=3, min_descriptors=8, iterations=3))

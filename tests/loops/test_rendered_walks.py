@@ -1,7 +1,6 @@
 """Whole runs through rendered buildings: a ring of corridors that closes, and rooms that only look the same."""
 
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -97,7 +96,7 @@ def test_rooms_that_look_the_same_are_not_taken_for_one(monkeypatch: pytest.Monk
 @pytest.mark.slow
 @pytest.mark.parametrize(("method", "share"), [("orb-slam2", 0.6), ("oc-slam", 1.0 / 3.0)])
 def test_a_loop_of_66_m_takes_away_most_of_the_error(
-    method: str, share: float, yolo_weights: Path, monkeypatch: pytest.MonkeyPatch
+    method: str, share: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """`orb-slam2` is carried along by a figure who walks past: its map has that step wherever its adjustment starts."""
     spec = "synthetic:corridor,frames=1500"
@@ -109,9 +108,7 @@ def test_a_loop_of_66_m_takes_away_most_of_the_error(
 
 
 @pytest.mark.slow
-def test_no_two_of_ten_rooms_that_look_the_same_are_taken_for_one(
-    yolo_weights: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_two_of_ten_rooms_that_look_the_same_are_taken_for_one(monkeypatch: pytest.MonkeyPatch) -> None:
     """The whole tour, 144 m, and into the first room again."""
     seen = walk("synthetic:building,frames=3200", "oc-slam", monkeypatch, "dense.kind=nothing")
     check_nothing_false(seen)

@@ -31,9 +31,6 @@ def test_in_the_synthetic_room(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["orb-slam2", "oc-slam"])
-def test_on_120_real_frames(name: str, bonn: Path, yolo_weights: Path, tmp_path: Path) -> None:
+def test_on_120_real_frames(name: str, bonn: Path, tmp_path: Path) -> None:
     """With the detector, in a stretch in which people walk."""
-    config = method(name).config
-    if not isinstance(config.semantics, NothingConfig):
-        config = replace(config, semantics=replace(config.semantics, folder=str(yolo_weights)))  # type: ignore[type-var]
-    assert_same_bytes(Source(str(bonn), frames="210:330"), config, tmp_path)
+    assert_same_bytes(Source(str(bonn), frames="210:330"), method(name).config, tmp_path)

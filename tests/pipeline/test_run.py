@@ -294,8 +294,8 @@ def test_ctrl_c_ends_the_run_and_keeps_what_there_is(room: Dataset, tmp_path: Pa
 
 
 def test_wrong_weights_leave_no_folder_behind(room: Dataset, tmp_path: Path) -> None:
-    config = replace(CONFIG, semantics=YoloFastestConfig(folder=str(tmp_path / "nowhere")))
-    with pytest.raises(StillroomError, match="weights are not in"):
+    config = replace(CONFIG, semantics=YoloFastestConfig(model=tmp_path / "nowhere.onnx"))
+    with pytest.raises(StillroomError, match="no such network"):
         run(room, config, RunOptions(root=tmp_path / "results"))
     assert not list(tmp_path.iterdir())
 

@@ -52,7 +52,7 @@ def test_a_short_second_session(bonn: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_second_session_with_people(bonn: Path, yolo_weights: Path, tmp_path: Path) -> None:
+def test_a_second_session_with_people(bonn: Path, tmp_path: Path) -> None:
     """All of it, backwards too, and from five frames drawn by lot to the end."""
     path, config = tmp_path / "room.stillmap", with_overrides(configure("oc-slam"), POSES_ONLY)
     played(bonn, config, path, MapUse.NEW, "0:200")

@@ -249,10 +249,10 @@ def test_impossible_values(options, said):
         run({}, [], **options)
 
 
-def test_real_people_stay_covered_while_the_detector_is_off(bonn: Path, yolo_weights: Path):
+def test_real_people_stay_covered_while_the_detector_is_off(bonn: Path):
     """Frames 450–470 of the Bonn stretch, three people, nobody enters: boxes with the detector on are the oracle."""
     images = [load_bonn(bonn, index) for index in range(445, 470)]
-    config = YoloFastestConfig(folder=str(yolo_weights))
+    config = YoloFastestConfig()
     full, cut = config.build(), withhold(config.build(), [(450, 470)])
     covered = present = 0
     for image in images:

@@ -224,10 +224,7 @@ def test_people_in_real_frames_are_clusters_of_their_own(bonn: Path, frame: int)
         assert extent_m[2] < 1.0
 
 
-def test_boxes_of_the_detector_name_the_people_of_real_frames(
-    bonn: Path, yolo_weights: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("STILLROOM_MODELS", str(yolo_weights.parent))
+def test_boxes_of_the_detector_name_the_people_of_real_frames(bonn: Path) -> None:
     sequence = open_dataset(str(bonn))
     detect = YoloFastestConfig().build()
     clusterer = DepthClustersConfig().build(parts(sequence.camera, seed=0))

@@ -1,7 +1,6 @@
 """`stillroom demo`: what the package is for, in a few minutes and without any data."""
 
 import time
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -12,19 +11,14 @@ from stillroom.cli.output.frame_bar import FrameBar
 from stillroom.cli.output.tables import print_lines, print_table
 from stillroom.cli.warmup import ensure_warm
 from stillroom.config import SlamConfig
-from stillroom.errors import WeightsError
 from stillroom.evaluation.report import Evaluation
 from stillroom.evaluation.report_text import percent
 from stillroom.evaluation.statistics import improvement_percent
-from stillroom.geometry.camera import Camera
 from stillroom.methods.registry import configure
 from stillroom.pipeline import RunOptions, RunOutcome, Source, run
 from stillroom.pipeline.plots import draw_plots
 from stillroom.pipeline.results import PICTURES
 from stillroom.protocols import Dataset
-from stillroom.semantics.truth import TruthConfig
-from stillroom.semantics.yolo_fastest import find_folder
-from stillroom.system import segmenter_of
 
 ROOM = "synthetic:walking"
 BASELINE, METHOD = "orb-slam2", "oc-slam"
@@ -50,26 +44,15 @@ def demo(
     source = Source(ROOM, frames=frames)
     dataset = source.open()
     ensure_warm(STDERR, renderer=True)
-    config, detector = _with_detector(configure(METHOD), dataset.camera)
-    print_lines([f"detector: {detector}"])
     bar = FrameBar(STDERR)
     _render(dataset, bar)
     outcomes = [
         _track(dataset, each, RunOptions(out, None, N_PICTURES, source=source), bar)
-        for each in (configure(BASELINE), config)
+        for each in (configure(BASELINE), configure(METHOD))
     ]
     _print_comparison(dataset, *outcomes)
     _print_pictures(_compared(dataset, *outcomes), *outcomes)
     say(f"all in {time.monotonic() - start_s:.0f} s; try the same on your own: stillroom run --help")
-
-
-def _with_detector(config: SlamConfig, camera: Camera) -> tuple[SlamConfig, str]:
-    """Return the config with a detector that is at hand, and which one that is."""
-    try:
-        segmenter_of(config, camera)
-    except WeightsError as error:
-        return replace(config, semantics=TruthConfig()), f"the renderer's own boxes, because {error}"
-    return config, f"YOLO-Fastest, its weights from {find_folder()}"
 
 
 def _render(dataset: Dataset, bar: FrameBar) -> None:

@@ -1,4 +1,4 @@
-"""`stillroom download`: sequences and weights from their own addresses."""
+"""`stillroom download`: sequences and networks from their own addresses."""
 
 from pathlib import Path
 from typing import Annotated, Self
@@ -10,16 +10,14 @@ from rich.progress import BarColumn, DownloadColumn, Progress, TaskID, TextColum
 from stillroom.cli.output.console import STDERR, say
 from stillroom.cli.output.tables import print_lines
 from stillroom.data.locations import data_home, models_home
-from stillroom.download import OFFICIAL
+from stillroom.download import OFFICIAL, PSPNET_R50
 from stillroom.download import download as fetch_target
-from stillroom.download import download_pspnet_r50 as fetch_pspnet_r50
-from stillroom.errors import ConfigError
 
 INTERRUPTED = 130
 
 
 def download(
-    target: Annotated[str, typer.Argument(metavar="WHAT", help="tum/<name>, bonn/<name> or models.")],
+    target: Annotated[str, typer.Argument(metavar="WHAT", help="tum/<name>, bonn/<name> or pspnet-r50.")],
     to: Annotated[
         Path | None,
         typer.Option(
@@ -28,35 +26,28 @@ def download(
             help="Where to put it; otherwise STILLROOM_DATA or STILLROOM_MODELS, or the cache.",
         ),
     ] = None,
-    pspnet_r50: Annotated[
-        bool,
-        typer.Option("--pspnet-r50", help="With 'models': OpenMMLab's PSPNet on ResNet-50, too, to train from."),
-    ] = False,
 ) -> None:
-    """Fetch a data set or the weights of YOLO-Fastest.
+    """Fetch a data set, or a network to train from.
 
-    An interrupted download goes on where it broke off. Checksums are compared where they are known.
+    An interrupted download goes on where it broke off. Checksums are compared where they are known. The networks that
+    methods run with come with Stillroom; pspnet-r50 is what 'stillroom train pspnet --backbone resnet50' starts from.
 
     Names are those of the data sets, with or without their prefix:
 
-        stillroom download models
-        stillroom download models --pspnet-r50
         stillroom download bonn/crowd
         stillroom download tum/freiburg3_walking_xyz
+        stillroom download pspnet-r50
     """
-    models = target == "models"
-    if pspnet_r50 and not models:
-        raise ConfigError(f"--pspnet-r50 goes with 'stillroom download models', not with '{target}'")
-    folder = to if to is not None else models_home() if models else data_home()
+    is_network = target == PSPNET_R50
+    folder = to if to is not None else models_home() if is_network else data_home()
     try:
         with _Bars(STDERR) as bars:
             place = fetch_target(target, folder, bars, OFFICIAL)
-            checkpoint = fetch_pspnet_r50(folder, bars, OFFICIAL) if pspnet_r50 else None
     except KeyboardInterrupt:
         say("stopped; what has come is kept, the same command goes on from there")
         raise typer.Exit(INTERRUPTED) from None
-    print_lines([str(path) for path in (place, checkpoint) if path is not None])
-    if not models:
+    print_lines([str(place)])
+    if not is_network:
         say(f"next: stillroom run {place} --method oc-slam")
 
 

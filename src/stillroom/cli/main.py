@@ -1,4 +1,4 @@
-"""The commands of `stillroom`, and what becomes of an error.
+"""The commands of `stillroom`, its own and installed ones, and what becomes of an error.
 
 Only the module of the command that is asked for is imported: `stillroom --help` answers at once.
 """
@@ -9,11 +9,12 @@ import os
 import re
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated, Any
 
 import typer
 
+from stillroom.cli.installed import ALONE, GROUP, BySecondWord, installed, summary_of
 from stillroom.errors import StillroomError
 
 INTERRUPTED = 130
@@ -65,18 +66,9 @@ COMMANDS = (
         "show-config", "stillroom.cli.describe.show_config:show_config", "Print the configuration of a method as TOML."
     ),
     Command("bench", "stillroom.cli.bench:app", "Measure accuracy, the worth of rejection, speed, and ghosts."),
-    Command("download", "stillroom.cli.download:download", "Fetch a data set or the weights of YOLO-Fastest."),
-    Command("train", "stillroom.cli.pspnet:train_app", "Train PSPNet, which says where people are."),
-    Command(
-        "train-vocabulary",
-        "stillroom.cli.train_vocabulary:train_vocabulary",
-        "Make a vocabulary of places from sequences.",
-    ),
+    Command("download", "stillroom.cli.download:download", "Fetch a data set, or a network to train from."),
     Command("warmup", "stillroom.cli.warmup:warmup", "Compile all kernels now, so that the first run starts at once."),
 )
-
-SECOND_WORDS = {("export", "pspnet"): "stillroom.cli.pspnet:export_app"}
-"""Where a command of one word is another one when a certain word follows it."""
 
 
 def application(chosen: str | None = None, following: str | None = None) -> typer.Typer:
@@ -85,6 +77,9 @@ def application(chosen: str | None = None, following: str | None = None) -> type
     Args:
         chosen: The command.
         following: The next word.
+
+    Raises:
+        ConfigError: An installed package adds a command whose name is taken, or that cannot be imported.
     """
     app = typer.Typer(
         name="stillroom",
@@ -95,19 +90,55 @@ def application(chosen: str | None = None, following: str | None = None) -> type
         rich_markup_mode="rich",
     )
     app.callback()(_options)
+    own = {command.name: command for command in COMMANDS}
+    loaded = own[chosen].load() if chosen in own else None
+    added = installed([*own, *(f"{chosen}.{name}" for name in _inner_names(loaded))])
     for command in COMMANDS:
         if command.name != chosen:
             app.command(command.name, help=command.summary)(_not_loaded)
-            continue
-        place = SECOND_WORDS.get((chosen, following or ""), command.place)
-        loaded = replace(command, place=place).load()
-        if isinstance(loaded, typer.Typer):
-            for inner in loaded.registered_commands:
-                inner.help = flowing(inner.callback.__doc__ if inner.callback else None)
-            app.add_typer(loaded, name=command.name)
-        else:
-            app.command(command.name, help=flowing(loaded.__doc__))(loaded)
+    for name, commands in added.items():
+        if name not in {chosen, *own}:
+            app.command(name, help=None if chosen else summary_of(commands))(_not_loaded)
+    if chosen is not None and (chosen in own or chosen in added):
+        _add(app, chosen, _with_second_words(loaded, added.get(chosen, {}), following))
     return app
+
+
+def _with_second_words(own: Any, added: BySecondWord, following: str | None) -> Any:
+    """Return the function or app of a command to which installed packages may have added second words.
+
+    Args:
+        own: Stillroom's own function or app; None where the command is installed.
+        added: The entry points that begin with the command's name.
+        following: The word after the command's name.
+    """
+    if own is None and ALONE in added:
+        own = GROUP.load(added[ALONE])
+    if following is not None and following in added:
+        added = {following: added[following]}
+    elif own is not None and not isinstance(own, typer.Typer):
+        return own
+    app = own if isinstance(own, typer.Typer) else typer.Typer(no_args_is_help=True, help=summary_of(added))
+    for word, entry in added.items():
+        if word != ALONE:
+            _add(app, word, GROUP.load(entry))
+    return app
+
+
+def _add(app: typer.Typer, name: str, loaded: Any) -> None:
+    """Add a function, or an app with commands of its own, under a name."""
+    if not isinstance(loaded, typer.Typer):
+        app.command(name, help=flowing(loaded.__doc__))(loaded)
+        return
+    for inner in loaded.registered_commands:
+        inner.help = flowing(inner.callback.__doc__ if inner.callback else None)
+    app.add_typer(loaded, name=name)
+
+
+def _inner_names(loaded: Any) -> list[str]:
+    """Return the names of an app's own commands."""
+    inner = loaded.registered_commands if isinstance(loaded, typer.Typer) else []
+    return [each.name or getattr(each.callback, "__name__", "").replace("_", "-") for each in inner]
 
 
 def flowing(docstring: str | None) -> str:
@@ -124,7 +155,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for name in ONE_THREAD:
         os.environ.setdefault(name, "1")
     given = list(sys.argv[1:] if arguments is None else arguments)
-    chosen, following, *_ = [*(word for word in given if not word.startswith("-")), None, None]
+    # Before a command there are only --help and --version, after which none is run.
+    words = [] if given and given[0].startswith("-") else [word for word in given if not word.startswith("-")]
+    chosen, following, *_ = [*words, None, None]
     try:
         application(chosen, following)(args=given, prog_name="stillroom")
     except StillroomError as error:

@@ -5,16 +5,13 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from stillroom.cli.output.console import STDERR
 from stillroom.cli.output.tables import print_lines
-from stillroom.errors import WeightsError
-from stillroom.semantics.yolo_fastest import YoloFastestConfig
 from stillroom.warmup import WarmUp, is_warm, kernel_cache, warm_up
 
 
 def warmup() -> None:
     """Compile all kernels now, so that the first run starts at once.
 
-    Takes a minute or two, once: the machine code is kept in the user's cache. YOLO-Fastest is made ready too where its
-    weights are at hand.
+    Takes a minute or two, once: the machine code is kept in the user's cache.
     """
     done = with_progress(STDERR, renderer=True)
     origin = f"{done.n_compiled} of them compiled" if done.n_compiled else "all from the cache"
@@ -22,7 +19,6 @@ def warmup() -> None:
         [
             f"{done.n_kernels} kernels ready in {done.seconds:.1f} s, {origin}",
             f"kept in {kernel_cache() or 'the folders of the sources, __pycache__'}",
-            _detector(),
         ]
     )
 
@@ -50,11 +46,3 @@ def with_progress(console: Console, renderer: bool) -> WarmUp:
             bar.update(task, description=f"compiling kernels (once) {kernel}", completed=done, total=total)
 
         return warm_up(show, renderer)
-
-
-def _detector() -> str:
-    try:
-        YoloFastestConfig().build()
-    except WeightsError as error:
-        return str(error)
-    return "YOLO-Fastest is ready"

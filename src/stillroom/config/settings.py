@@ -25,8 +25,12 @@ log = logging.getLogger(__name__)
 
 RETIRED: Mapping[str, str] = {
     r"dynamics(\.\w+)?\.min_matches": "how many matches a verdict must leave is the same for all sieves now",
+    r"semantics=yolo-fastest\.folder": "YOLO-Fastest comes with Stillroom; convert a network of your own with "
+    "'stillroom export yolo' and set semantics.model to the file",
+    r"semantics=onnx-boxes\.darknet_cfg": "the ONNX file names its anchors; make it with 'stillroom export yolo'",
 }
-"""Keys of earlier versions that set nothing any more, as patterns of their dotted names, and why."""
+"""Keys of earlier versions that set nothing any more, and why: patterns of their dotted names, with `=kind` after the
+section where one kind alone had the key."""
 
 PROVENANCE = "run"
 """The table of a results folder's config.toml that says how it came about; it configures nothing."""
@@ -126,14 +130,14 @@ def with_overrides(config: C, overrides: Iterable[str]) -> C:
     return updated(config, tree)
 
 
-def _updated(config: Any, values: Mapping[str, Any], path: tuple[str, ...]) -> Any:
+def _updated(config: Any, values: Mapping[str, Any], path: tuple[str, ...], kind: str = "") -> Any:
     fields = {field.name: field for field in dataclasses.fields(config) if field.init}
     hints = typing.get_type_hints(type(config))
     changes: dict[str, Any] = {}
     for key, value in values.items():
         name = ".".join((*path, key))
         if key not in fields:
-            if _is_retired(name):
+            if _is_retired(name, f"{'.'.join(path)}={kind}.{key}"):
                 continue
             raise ConfigError(f"unknown key '{name}'; did you mean '{_nearest(config, name, path)}'?")
         present, kinds = getattr(config, key), _kinds(fields[key])
@@ -154,9 +158,10 @@ def _updated(config: Any, values: Mapping[str, Any], path: tuple[str, ...]) -> A
     return dataclasses.replace(config, **changes)
 
 
-def _is_retired(name: str) -> bool:
+def _is_retired(name: str, name_with_kind: str) -> bool:
     """Return whether a key was a setting once; that it is ignored is said in the log."""
-    reason = next((why for pattern, why in RETIRED.items() if re.fullmatch(pattern, name)), None)
+    names = (name, name_with_kind)
+    reason = next((why for pattern, why in RETIRED.items() if any(re.fullmatch(pattern, each) for each in names)), None)
     if reason is not None:
         log.warning("'%s' is ignored: %s", name, reason)
     return reason is not None
@@ -170,7 +175,7 @@ def _plugged(kinds: Kinds, present: Any, values: Mapping[str, Any], path: tuple[
             present = chosen()
     own = {key: value for key, value in values.items() if key != KIND}
     try:
-        return _updated(present, own, path)
+        return _updated(present, own, path, kinds.name_of(present))
     except ConfigError as error:
         raise ConfigError(f"{error} (with {'.'.join(path)}.{KIND} = '{kinds.name_of(present)}')") from None
 

@@ -1,6 +1,6 @@
-"""Fetching data sets and weights from their own addresses, checked by hash where one is known."""
+"""Fetching data sets and networks from their own addresses, checked by hash where one is known."""
 
 from stillroom.download.fetch import Progress, fetch, no_progress
-from stillroom.download.targets import MODELS, OFFICIAL, Addresses, download, download_pspnet_r50
+from stillroom.download.targets import OFFICIAL, PSPNET_R50, Addresses, download
 
-__all__ = ["MODELS", "OFFICIAL", "Addresses", "Progress", "download", "download_pspnet_r50", "fetch", "no_progress"]
+__all__ = ["OFFICIAL", "PSPNET_R50", "Addresses", "Progress", "download", "fetch", "no_progress"]

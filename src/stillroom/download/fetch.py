@@ -25,10 +25,6 @@ class Progress(Protocol):
         """Take note that `done_bytes` of `total_bytes` (None where the server does not say) have come."""
 
 
-class AbsentError(DownloadError):
-    """The server has no such file; another address may have it."""
-
-
 def no_progress(name: str, done_bytes: int, total_bytes: int | None) -> None:
     """Take note of nothing."""
 
@@ -52,7 +48,6 @@ def fetch(
         is_plausible: Tells of the fetched file whether it is of the right kind, where no checksum is known.
 
     Raises:
-        AbsentError: The server has no such file.
         DownloadError: The server cannot be reached, the connection broke (run it again: it goes on from there),
             the file came with the wrong checksum or is no such file (it was removed), or it cannot be written.
     """
@@ -93,7 +88,7 @@ def _receive(address: str, part: Path, name: str, progress: Progress) -> None:
             _after_the_end(address, part, name, progress, error.headers.get("Content-Range"))
             return
         if error.code in (http.HTTPStatus.NOT_FOUND, http.HTTPStatus.GONE):
-            raise AbsentError(f"{address}: the server has no such file; is the name right?") from error
+            raise DownloadError(f"{address}: the server has no such file; is the name right?") from error
         raise DownloadError(f"{address}: the server answered {error.code} {error.reason}") from error
     with response:
         # A server that does not know ranges answers 200 and sends everything; what we have is then of no use.

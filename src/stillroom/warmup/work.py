@@ -25,7 +25,7 @@ from stillroom.dynamics.homography.sieve import CompensatedHomographyConfig
 from stillroom.evaluation.ghosts.patches import distances_to_patches_m
 from stillroom.evaluation.ghosts.views import DepthView, settled, sightings
 from stillroom.features.places.branch_matching import match_by_branch
-from stillroom.features.places.training import TrainingConfig, train
+from stillroom.features.places.growth import GrowthConfig, grow, one_word
 from stillroom.geometry.arrays import F64
 from stillroom.optimize.bundle_kernels import Blocks, Order
 from stillroom.optimize.reduced_system import SparseSystem
@@ -74,7 +74,8 @@ def recognise(slam: Slam) -> None:
     world, index = slam.map, slam.places.index
     newest = int(world.alive_keyframes()[-1])
     descriptors = world.keypoints.descriptors[world.rows(newest)]
-    train([descriptors], TrainingConfig(branching=2, depth=2))
+    shape = GrowthConfig(branching=2, depth=2)
+    grow(one_word(shape.direct_level), [descriptors], shape)
     bag = index.bag(newest)
     slam.places.candidates(bag)
     match_by_branch(descriptors, bag.nodes, descriptors, bag.nodes)

@@ -7,8 +7,8 @@ import pytest
 from ring_map import vocabulary_of
 from small_world import SmallMap, SmallWorld, pose
 
+from stillroom.features.places.growth import GrowthConfig
 from stillroom.features.places.place_memory import PlaceMemory, PlacesConfig
-from stillroom.features.places.training import TrainingConfig
 from stillroom.features.places.vocabulary import load_vocabulary
 
 SHIPPED_MB = 3.0
@@ -70,7 +70,7 @@ def test_culled_keyframes_leave_and_a_map_from_a_file_is_taken_in(small: SmallMa
 
 
 def test_the_tree_grows_on_the_runs_own_keyframes(small: SmallMap) -> None:
-    config = PlacesConfig(grow_every=6, growth=TrainingConfig(branching=4, depth=12, min_descriptors=8))
+    config = PlacesConfig(grow_every=6, growth=GrowthConfig(branching=4, depth=12, min_descriptors=8))
     memory = PlaceMemory(vocabulary_of(small.world), small.map, config)
     before = memory.vocabulary
     for keyframe in range(5):

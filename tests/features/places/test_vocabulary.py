@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from stillroom.errors import VocabularyError
-from stillroom.features.places.training import TrainingConfig, grow, k_majority, rarity, train
+from stillroom.features.places.growth import GrowthConfig, grow, k_majority, rarity
 from stillroom.features.places.vocabulary import Bag, Vocabulary, load_vocabulary
 from stillroom.geometry.hamming import words
+from stillroom_train.vocabulary import train
 
-SHAPE = TrainingConfig(branching=4, depth=3, min_descriptors=8)
+SHAPE = GrowthConfig(branching=4, depth=3, min_descriptors=8)
 
 
 def distances(first: np.ndarray, second: np.ndarray) -> np.ndarray:
@@ -98,7 +99,7 @@ def test_descriptors_that_are_all_alike_make_one_cluster() -> None:
 def test_training_repeats_and_a_seed_matters() -> None:
     images = images_of(blurred_copies(3)[0])
     first, again = train(images, SHAPE), train(images, SHAPE)
-    other = train(images, TrainingConfig(branching=4, depth=3, min_descriptors=8, seed=1))
+    other = train(images, GrowthConfig(branching=4, depth=3, min_descriptors=8, seed=1))
     assert first.digest == again.digest != other.digest
 
 
@@ -136,7 +137,7 @@ def test_an_image_without_keypoints_says_nothing(trained: tuple[Vocabulary, np.n
 def test_growing_splits_full_words_only_and_keeps_the_others(trained: tuple[Vocabulary, np.ndarray]) -> None:
     vocabulary, _ = trained
     own, _ = blurred_copies(9, n_kinds=60)
-    grown = grow(vocabulary, images_of(own), TrainingConfig(branching=4, depth=5, min_descriptors=30))
+    grown = grow(vocabulary, images_of(own), GrowthConfig(branching=4, depth=5, min_descriptors=30))
     assert grown.n_words > vocabulary.n_words
     n_old = len(vocabulary.centres)
     assert np.array_equal(grown.centres[:n_old], vocabulary.centres)

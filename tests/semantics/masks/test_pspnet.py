@@ -19,11 +19,11 @@ from stillroom.semantics.masks.pspnet import SHIPPED, PspNetConfig
 from stillroom.semantics.masks.refine import RefineConfig
 from stillroom.semantics.masks.regions import RegionsConfig
 from stillroom.testing.segmenter_contract import check_segmenter
-from stillroom.training.evaluate import called_person, overlap
-from stillroom.training.export.graph import Graph
-from stillroom.training.pictures.example import images_in, read_rgb
-from stillroom.training.pictures.gather import PERSON, held_out
-from stillroom.training.train import segmenting
+from stillroom_train.pspnet.evaluate import called_person, overlap
+from stillroom_train.pspnet.export.graph import Graph
+from stillroom_train.pspnet.pictures.example import images_in, read_rgb
+from stillroom_train.pspnet.pictures.gather import PERSON, held_out
+from stillroom_train.pspnet.train import segmenting
 
 NETWORK_ALONE = {"refine": RefineConfig(enabled=False), "regions": RegionsConfig(min_px=0, dilate_px=0)}
 

@@ -13,12 +13,12 @@ from stillroom.data.image import RgbdImage
 from stillroom.datasets.open import open_dataset
 from stillroom.errors import ConfigError, WeightsError
 from stillroom.semantics.carried_boxes import CarryConfig
-from stillroom.semantics.darknet.cfg import read_cfg
-from stillroom.semantics.darknet.onnx_graph import convert
-from stillroom.semantics.darknet.weights import read_weights
 from stillroom.semantics.onnx.class_names import COCO_CLASSES
 from stillroom.semantics.onnx.onnx_boxes import OnnxBoxesConfig
 from stillroom.semantics.yolo_fastest import YoloFastestConfig
+from stillroom_train.darknet.cfg import read_cfg
+from stillroom_train.darknet.onnx_file import convert
+from stillroom_train.darknet.weights import read_weights
 
 CLASSES = ("dog", "chair", "person", "cat", "box")
 ASKED = ("person", "dog")

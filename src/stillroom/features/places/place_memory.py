@@ -6,8 +6,8 @@ from pathlib import Path
 from stillroom.data.frame import Frame
 from stillroom.data.map import Map
 from stillroom.features.places.candidates import best_places
+from stillroom.features.places.growth import GrowthConfig, grow
 from stillroom.features.places.place_index import PlaceIndex
-from stillroom.features.places.training import TrainingConfig, grow
 from stillroom.features.places.vocabulary import Bag, Vocabulary, load_vocabulary
 from stillroom.geometry.arrays import I32, Bool
 from stillroom.protocols import Parts
@@ -25,7 +25,7 @@ class PlacesConfig:
 
     vocabulary: Path | None = None
     grow_every: int = 0
-    growth: TrainingConfig = field(default_factory=lambda: TrainingConfig(depth=6, min_descriptors=50))
+    growth: GrowthConfig = field(default_factory=lambda: GrowthConfig(depth=6, min_descriptors=50))
 
     def build(self, parts: Parts) -> "PlaceMemory":
         """Return the memory of a map's places, empty.

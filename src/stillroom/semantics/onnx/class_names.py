@@ -26,7 +26,7 @@ def read_class_names(path: Path) -> tuple[str, ...]:
     try:
         names = path.read_text(encoding="utf-8").rstrip().splitlines()
     except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"classes_file {path}: cannot be read as text ({error})") from error
+        raise ConfigError(f"{path}: cannot be read as text ({error})") from error
     if not names:
-        raise ConfigError(f"classes_file {path}: empty; write the network's class names, one a line")
+        raise ConfigError(f"{path}: empty; write the network's class names, one a line")
     return tuple(name.strip() for name in names)

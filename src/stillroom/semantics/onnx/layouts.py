@@ -8,7 +8,7 @@ name         outputs                                              networks
 `nms`        (1, N, 6) or (N, 6): x0 y0 x1 y1, score, class       YOLO v10, and what is exported with `nms=True`
 `detections` boxes (1, N, 4): x0 y0 x1 y1; labels and scores      torchvision's detectors, SSD
              (1, N), each also without the 1
-`darknet`    for each head (1, A (5 + C), h, w), raw              YOLO-Fastest, YOLO v3 and v4 by our converter
+`darknet`    for each head (1, A (5 + C), h, w), raw              YOLO-Fastest, YOLO v3 by `stillroom export yolo`
 ============ ==================================================== =====================================================
 
 C is the number of classes, N of boxes, A of a head's anchors; x y are a box's middle. All scores are probabilities, but
@@ -85,7 +85,7 @@ class Layout(Protocol):
 
 
 def layout_of(name: str, asked: Asked) -> Layout:
-    """Return the layout of a name; `darknet` needs the heads, too, and is not among them."""
+    """Return the layout of a name; `darknet` is made by the file that knows the heads, and is not among them."""
     known: dict[str, type[YoloV8 | YoloV5 | Suppressed | Detections]] = {
         YOLO_V8: YoloV8,
         YOLO_V5: YoloV5,

@@ -6,16 +6,15 @@ from pathlib import Path
 from stillroom.errors import ConfigError
 from stillroom.protocols import Parts, Segmenter
 from stillroom.semantics.carried_boxes import CarriedBoxes, CarryConfig
-from stillroom.semantics.darknet.cfg import read_cfg
-from stillroom.semantics.darknet.heads import DarknetHeads
 from stillroom.semantics.detector import EachFrameAlone
 from stillroom.semantics.masks.class_names import channels_of
 from stillroom.semantics.masks.onnx_masks import find_model
 from stillroom.semantics.onnx.class_names import COCO_CLASSES, read_class_names
+from stillroom.semantics.onnx.darknet import DarknetFile
 from stillroom.semantics.onnx.detector import DetectionNetwork, OnnxDetector, Reading
 from stillroom.semantics.onnx.fit import FITS, LETTERBOX, Colors
 from stillroom.semantics.onnx.layouts import DARKNET, LAYOUTS, YOLO_V8, Asked, Layout, layout_of
-from stillroom.semantics.onnx.session import open_file
+from stillroom.semantics.onnx.session import open_content, open_file
 
 PIXELS, SHARES = "pixels", "shares"
 
@@ -31,10 +30,10 @@ class OnnxBoxesConfig:
         model: The ONNX file; a bare name is sought in the models' usual places.
         layout: How it tells boxes: "yolo-v8", (1, 4 + classes, boxes); "yolo-v5", (1, boxes, 5 + classes); "nms",
             (1, boxes, 6) or (boxes, 6), of edges, score and class; "detections", boxes, labels and scores as three
-            outputs; "darknet", a raw output for each head. `semantics/onnx/layouts.py` says more.
-        darknet_cfg: For "darknet": the network's cfg, which knows its heads' anchors.
+            outputs; "darknet", a raw output for each head, in a file of `stillroom export yolo`.
+            `semantics/onnx/layouts.py` says more.
         classes: Names of the network's classes in order, with one for the background where it counts that; empty is
-            the 80 of COCO, or those of `classes_file`.
+            those of `classes_file`, or of a file of `stillroom export yolo`, else the 80 of COCO.
         classes_file: A text file with these names, one a line.
         movable: Names of the classes that may move.
         named: Names of the classes that stand still unless somebody moves them.
@@ -52,7 +51,6 @@ class OnnxBoxesConfig:
 
     model: Path | None = None
     layout: str = YOLO_V8
-    darknet_cfg: Path | None = None
     classes: tuple[str, ...] = ()
     classes_file: Path | None = None
     movable: tuple[str, ...] = ("person",)
@@ -84,24 +82,32 @@ class OnnxBoxesConfig:
         self.check()
         if self.model is None:
             raise ConfigError("model is not set; name an ONNX file, as in semantics.model=detector.onnx")
-        names = self.class_names()
+        path = find_model(self.model)
+        darknet = DarknetFile(path) if self.layout == DARKNET else None
+        names = self.class_names(COCO_CLASSES if darknet is None else darknet.heads.classes)
         labels = (*self.movable, *self.named)
         chosen = channels_of(labels, names)
-        path = find_model(self.model)
         reading = Reading(self.input_px, self.fit, Colors(self.mean, self.std, self.bgr))
-        network = DetectionNetwork(open_file(path), path, reading)
-        side_px = network.input_px if self.coordinates == PIXELS else (1, 1)
-        layout = self._layout(Asked(path, len(names), chosen, confidence, side_px))
+        if darknet is not None:
+            network = DetectionNetwork(open_content(darknet.cut_to(chosen), path), path, reading)
+            layout: Layout = darknet.layout(Asked(path, len(chosen), range(len(chosen)), confidence))
+        else:
+            network = DetectionNetwork(open_file(path), path, reading)
+            side_px = network.input_px if self.coordinates == PIXELS else (1, 1)
+            layout = layout_of(self.layout, Asked(path, len(names), chosen, confidence, side_px))
         return OnnxDetector(network, layout, labels, self.nms_iou)
 
-    def class_names(self) -> tuple[str, ...]:
+    def class_names(self, default: tuple[str, ...]) -> tuple[str, ...]:
         """Return the names of the network's classes, in order.
+
+        Args:
+            default: Those that count where none are set.
 
         Raises:
             ConfigError: They are named twice, or their file cannot be read.
         """
         if self.classes_file is None:
-            return self.classes or COCO_CLASSES
+            return self.classes or default
         if self.classes:
             raise ConfigError("classes and classes_file are both set; set one of them")
         return read_class_names(self.classes_file)
@@ -122,11 +128,4 @@ class OnnxBoxesConfig:
             raise ConfigError(f"input_px is {self.input_px}; its sides must be 1 or more")
         if min(self.std) <= 0.0:
             raise ConfigError(f"std is {self.std}; its values must be above 0")
-        if (self.layout == DARKNET) != (self.darknet_cfg is not None):
-            raise ConfigError(f"layout is '{self.layout}'; 'darknet', and it alone, needs darknet_cfg, a file")
         self.carry.check()
-
-    def _layout(self, asked: Asked) -> Layout:
-        if self.darknet_cfg is None:
-            return layout_of(self.layout, asked)
-        return DarknetHeads(read_cfg(self.darknet_cfg), asked)

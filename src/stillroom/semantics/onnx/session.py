@@ -1,5 +1,6 @@
 """Networks in ONNX files that take one image: opening them, and what their input wants."""
 
+import functools
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -82,6 +83,23 @@ def open_file(path: Path) -> Any:
         return on_one_thread(str(path))
     except failures() as error:
         raise WeightsError(f"{path}: not an ONNX network that can be run ({first_line(error)})") from error
+
+
+@functools.lru_cache(maxsize=2)
+def open_content(model: bytes, name: object) -> Any:
+    """Return onnxruntime's session of a file's content, opened once for several runs after each other.
+
+    Args:
+        model: The content.
+        name: What to call the network in messages, such as its path.
+
+    Raises:
+        WeightsError: It is no network that can be run.
+    """
+    try:
+        return on_one_thread(model)
+    except failures() as error:
+        raise WeightsError(f"{name}: not an ONNX network that can be run ({first_line(error)})") from error
 
 
 def on_one_thread(model: str | bytes) -> Any:

@@ -1,1 +1,0 @@
-"""Making a vocabulary of places from sequences."""

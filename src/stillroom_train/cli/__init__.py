@@ -1,0 +1,1 @@
+"""The commands of this package; what they need is imported when they run."""

@@ -7,8 +7,7 @@ two are rendered; the corridor closes a loop. Sums may differ from processor to 
     python benchmarks/identity.py > after.txt && diff before.txt after.txt
     python benchmarks/identity.py --methods oc-slam --sequences rgbd_dataset_freiburg1_xyz_first60
 
-The real sequences are looked for in STILLROOM_DATA, YOLO-Fastest in STILLROOM_MODELS. All of it takes some twenty
-minutes on two cores.
+The real sequences are looked for in STILLROOM_DATA. All of it takes some twenty minutes on two cores.
 """
 
 import argparse

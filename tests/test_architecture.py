@@ -34,7 +34,6 @@ LEVELS = {
     "viz": 4,
     "config": 5,
     "download": 5,
-    "training": 5,
     "system": 6,
     "methods": 7,
     "pipeline": 8,

@@ -16,9 +16,10 @@ STILLROOM = [sys.executable, "-m", "stillroom.cli.main"]
 LIGHT = """
 import sys
 from stillroom.cli.main import COMMANDS, application
-for name in (None, "run", "evaluate", "methods", "show-config"):
-    application(name)
-print(*sorted({"numpy", "cv2", "numba", "scipy", "matplotlib", "onnxruntime"} & set(sys.modules)))
+for words in ((), ("run",), ("evaluate",), ("methods",), ("show-config",), ("train-vocabulary",), ("train", "pspnet"),
+              ("export", "pspnet"), ("export", "yolo")):
+    application(*words)
+print(*sorted({"numpy", "cv2", "numba", "scipy", "matplotlib", "onnx", "onnxruntime", "torch"} & set(sys.modules)))
 """
 
 

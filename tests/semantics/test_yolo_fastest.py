@@ -1,20 +1,22 @@
-"""YOLO-Fastest against two independent runtimes, and against bad input."""
+"""YOLO-Fastest, as it is shipped, against two independent runtimes, and against bad input."""
 
 import json
-import shutil
+from importlib.resources import files
 from pathlib import Path
 
 import cv2
 import numpy as np
+import onnx
 import pytest
 
 from stillroom.data.image import RgbdImage
 from stillroom.errors import ConfigError, WeightsError
 from stillroom.semantics.boxes import overlap, suppress
-from stillroom.semantics.yolo_fastest import YoloFastestConfig
+from stillroom.semantics.onnx.darknet import DarknetFile
+from stillroom.semantics.yolo_fastest import SHIPPED, YoloFastestConfig
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "yolo_fastest_boxes.json"
-FILES = ("yolo-fastest-1.1.cfg", "yolo-fastest-1.1.weights", "coco.names")
+SHIPPED_FOLDER = Path(str(files("stillroom.semantics"))) / "weights"
 
 
 def as_image(path: Path) -> RgbdImage:
@@ -30,12 +32,13 @@ def expected_edges(box, width, height):
 
 @pytest.mark.parametrize("runtime", ["opencv", "ncnn"])
 @pytest.mark.parametrize("variant", ["1.1", "1.1-xl"])
-def test_boxes_agree_with_independent_runtimes(yolo_weights, bonn, variant, runtime):
+def test_boxes_agree_with_independent_runtimes(bonn, variant, runtime):
     golden = json.loads(GOLDEN.read_text())
     answers = [a for a in golden["answers"] if (a["variant"], a["runtime"]) == (variant, runtime)]
     assert len(answers) == 5
-    names = tuple((yolo_weights / "coco.names").read_text().split("\n")[:80])
-    config = YoloFastestConfig(variant, folder=str(yolo_weights), movable=names, nms_iou=golden["nms_iou"])
+    names = DarknetFile(SHIPPED_FOLDER / SHIPPED[variant]).heads.classes
+    assert len(names) == 80
+    config = YoloFastestConfig(variant, movable=names, nms_iou=golden["nms_iou"])
     detector = config.build_detector(golden["confidence"])
     for answer in answers:
         path = bonn.parent / answer["picture"]
@@ -52,13 +55,13 @@ def test_boxes_agree_with_independent_runtimes(yolo_weights, bonn, variant, runt
             assert box.confidence == pytest.approx(truth["confidence"], abs=0.005)
 
 
-def test_the_threshold_and_the_classes_are_obeyed(yolo_weights, bonn):
+def test_the_threshold_and_the_classes_are_obeyed(bonn):
     """The same picture through different configurations: a person at 0.98, a chair at 0.74 (golden)."""
     golden = json.loads(GOLDEN.read_text())["answers"][0]
     image = as_image(bonn.parent / golden["picture"])
 
     def found(**options):
-        config = YoloFastestConfig(folder=str(yolo_weights), **options)
+        config = YoloFastestConfig(**options)
         return [box.label for box in config.build_detector(config.confidence).detect(image)]
 
     assert found() == ["person"]
@@ -70,44 +73,86 @@ def test_the_threshold_and_the_classes_are_obeyed(yolo_weights, bonn):
 
 
 @pytest.mark.parametrize("shape", [(480, 640), (37, 21), (1, 1), (1080, 200)])
-def test_any_image_size_and_read_only_input(yolo_weights, shape):
+def test_any_image_size_and_read_only_input(shape):
     rgb = np.random.default_rng(1).integers(0, 256, (*shape, 3)).astype(np.uint8)
     rgb.setflags(write=False)
     image = RgbdImage(0, 0.0, rgb, np.zeros(shape, np.float32))
-    for box in YoloFastestConfig(folder=str(yolo_weights)).build_detector(0.001).detect(image):
+    for box in YoloFastestConfig().build_detector(0.001).detect(image):
         assert 0 <= box.x_min_px <= box.x_max_px <= shape[1] - 1
         assert 0 <= box.y_min_px <= box.y_max_px <= shape[0] - 1
 
 
-def test_absent_weights_name_the_places_and_the_remedy(tmp_path, monkeypatch):
+def test_a_network_of_ones_own_is_sought_like_any_other(bonn, tmp_path, monkeypatch):
+    """Here it is the larger variant under another name."""
+    (tmp_path / "mine.onnx").write_bytes((SHIPPED_FOLDER / SHIPPED["1.1-xl"]).read_bytes())
+    monkeypatch.setenv("STILLROOM_MODELS", str(tmp_path))
+    image = as_image(bonn.parent / json.loads(GOLDEN.read_text())["answers"][0]["picture"])
+    small, large, mine = (
+        config.build_detector(0.1).detect(image)
+        for config in (
+            YoloFastestConfig(),
+            YoloFastestConfig("1.1-xl"),
+            YoloFastestConfig(model=Path("mine.onnx")),
+        )
+    )
+    assert mine == large != small
+
+
+def test_an_absent_file_names_the_places(tmp_path, monkeypatch):
     monkeypatch.setenv("STILLROOM_MODELS", str(tmp_path / "none"))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.chdir(tmp_path)
     with pytest.raises(WeightsError) as caught:
-        YoloFastestConfig().build()
+        YoloFastestConfig(model=Path("mine.onnx")).build()
     message = str(caught.value)
     assert "\n" not in message
-    for part in (str(tmp_path / "none"), str(tmp_path / "cache"), "stillroom download models"):
+    for part in (str(tmp_path / "none"), str(tmp_path / "cache"), "semantics.model"):
         assert part in message
-    with pytest.raises(WeightsError, match=r"elsewhere.*stillroom download models"):
-        YoloFastestConfig(folder=str(tmp_path / "elsewhere")).build()
 
 
-@pytest.mark.parametrize("name", FILES)
-@pytest.mark.parametrize("damage", ["missing", "truncated"])
-def test_damaged_files_end_in_one_line(yolo_weights, tmp_path, monkeypatch, name, damage):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    for file in FILES:
-        shutil.copyfile(yolo_weights / file, tmp_path / file)
-    content = (tmp_path / name).read_bytes()
-    (tmp_path / name).unlink()
-    if damage == "truncated":
-        (tmp_path / name).write_bytes(content[: len(content) // 2])
-    with pytest.raises(WeightsError) as caught:
-        YoloFastestConfig(folder=str(tmp_path)).build()
+def without(key):
+    def damaged(content):
+        model = onnx.load_model_from_string(content)
+        kept = [entry for entry in model.metadata_props if entry.key != key]
+        del model.metadata_props[:]
+        model.metadata_props.extend(kept)
+        return model.SerializeToString()
+
+    return damaged
+
+
+def with_a_class_less(content):
+    model = onnx.load_model_from_string(content)
+    for entry in model.metadata_props:
+        if entry.key == "classes":
+            entry.value = entry.value.partition("\n")[2]
+    return model.SerializeToString()
+
+
+def with_an_unknown_layer(content):
+    model = onnx.load_model_from_string(content)
+    model.graph.node[3].op_type = "NoSuchLayer"
+    return model.SerializeToString()
+
+
+@pytest.mark.parametrize(
+    ("damaged", "said"),
+    [
+        (lambda content: b"", "export yolo"),
+        (lambda content: b"hello", "export yolo"),
+        (lambda content: content[: len(content) // 2], "export yolo"),
+        (without("anchors_px"), "export yolo"),
+        (without("classes"), "export yolo"),
+        (with_a_class_less, "not those of its heads"),
+        (with_an_unknown_layer, "not an ONNX network that can be run"),
+    ],
+)
+def test_a_damaged_file_is_one_line(tmp_path, damaged, said):
+    path = tmp_path / "mine.onnx"
+    path.write_bytes(damaged((SHIPPED_FOLDER / SHIPPED["1.1"]).read_bytes()))
+    with pytest.raises(WeightsError, match=said) as caught:
+        YoloFastestConfig(model=path).build()
     assert "\n" not in str(caught.value)
-    # Half a cfg may still be a cfg, with too few layers for the weights; else the damaged file is named.
-    assert str(tmp_path) in str(caught.value)
+    assert str(caught.value).startswith(f"{path}: ")
 
 
 @pytest.mark.parametrize(
@@ -117,12 +162,12 @@ def test_damaged_files_end_in_one_line(yolo_weights, tmp_path, monkeypatch, name
         ({"confidence": 0.0}, "confidence is 0.0"),
         ({"confidence": 80.0}, "confidence is 80.0; it must be above 0 and at most 1"),
         ({"nms_iou": -1.0}, "nms_iou is -1.0"),
-        ({"movable": ("person", "ghost")}, r"movable class 'ghost'.*coco\.names"),
+        ({"movable": ("person", "ghost")}, r"movable class 'ghost'.*network's: person, bicycle, .*toothbrush"),
     ],
 )
-def test_impossible_values(yolo_weights, options, said):
+def test_impossible_values(options, said):
     with pytest.raises(ConfigError, match=said):
-        YoloFastestConfig(folder=str(yolo_weights), **options).build()
+        YoloFastestConfig(**options).build()
 
 
 def plain_iou(a, b):

@@ -39,7 +39,7 @@ def export(
     """Turn the dense map of a run into files for other programs.
 
     Points as cloud.ply and cloud.pcd, a mesh as mesh.ply, a floor plan for robots as map.pgm and map.yaml, an octree as
-    map.bt. Networks become ONNX files with 'stillroom export pspnet' and 'stillroom export yolo'.
+    map.bt. 'export pspnet' and 'export yolo' make ONNX files of networks.
 
         stillroom export results/latest
         stillroom export results/latest --format mesh,occupancy --out for_the_robot

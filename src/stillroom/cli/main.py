@@ -9,6 +9,7 @@ import os
 import re
 import sys
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -118,7 +119,11 @@ def _with_second_words(own: Any, added: BySecondWord, following: str | None) -> 
         added = {following: added[following]}
     elif own is not None and not isinstance(own, typer.Typer):
         return own
-    app = own if isinstance(own, typer.Typer) else typer.Typer(no_args_is_help=True, help=summary_of(added))
+    if isinstance(own, typer.Typer):
+        app = copy(own)
+        app.registered_commands, app.registered_groups = list(own.registered_commands), list(own.registered_groups)
+    else:
+        app = typer.Typer(no_args_is_help=True, help=summary_of(added))
     for word, entry in added.items():
         if word != ALONE:
             _add(app, word, GROUP.load(entry))

@@ -1,17 +1,20 @@
 """The converter against a darknet written plainly in numpy, and against damaged files."""
 
+import importlib.resources
 import struct
 from pathlib import Path
 
 import numpy as np
+import onnx
 import onnxruntime
 import pytest
 
 from stillroom.data.image import RgbdImage
 from stillroom.errors import WeightsError
-from stillroom.semantics.yolo_fastest import YoloFastestConfig
+from stillroom.semantics.onnx.darknet import DarknetFile
+from stillroom.semantics.yolo_fastest import SHIPPED, YoloFastestConfig
 from stillroom_train.darknet.cfg import read_cfg
-from stillroom_train.darknet.onnx_file import onnx_model
+from stillroom_train.darknet.onnx_file import convert_files
 from stillroom_train.darknet.weights import read_weights
 
 # Each kind of layer, each activation, groups, negative and absolute routes, two heads.
@@ -97,9 +100,6 @@ scale_x_y=1.05
 CONVOLUTIONS = [(8, 3, 3, True), (8, 1, 5, True), (8, 8, 1, False), (14, 4, 1, False), (7, 24, 3, True)]
 
 
-BOTH = (0, 1)
-
-
 def activate(x, name):
     return {
         "linear": lambda: x,
@@ -145,12 +145,20 @@ def random_convolutions(rng):
         yield [v.astype("<f4") for v in vectors], rng.normal(0, 0.3, (filters, depth, size, size)).astype("<f4")
 
 
-def write(folder: Path, convolutions, version=(0, 2, 5), cfg=CFG, tail=b"") -> tuple[Path, Path]:
+def write(folder: Path, convolutions, version=(0, 2, 5), cfg=CFG, tail=b"") -> tuple[Path, Path, Path]:
+    """Return cfg, weights and names."""
     seen = struct.pack("<q" if version[0] * 10 + version[1] >= 2 else "<i", 7)
     body = b"".join(b"".join(v.tobytes() for v in vectors) + kernel.tobytes() for vectors, kernel in convolutions)
     (folder / "net.cfg").write_text(cfg)
     (folder / "net.weights").write_bytes(struct.pack("<3i", *version) + seen + body + tail)
-    return folder / "net.cfg", folder / "net.weights"
+    (folder / "net.names").write_text("dog\ncat\n")
+    return folder / "net.cfg", folder / "net.weights", folder / "net.names"
+
+
+def converted(folder: Path, convolutions, version=(0, 2, 5)) -> Path:
+    """Return the ONNX file of the network."""
+    (folder / "net.onnx").write_bytes(convert_files(*write(folder, convolutions, version)))
+    return folder / "net.onnx"
 
 
 def plain_network(image, convolutions):
@@ -180,12 +188,6 @@ def plain_network(image, convolutions):
     return [l7, l12]
 
 
-@pytest.fixture(autouse=True)
-def own_cache(tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    return tmp_path / "cache"
-
-
 @pytest.mark.parametrize(
     ("version", "classes"),
     [((0, 1, 0), [0, 1]), ((0, 2, 5), [0, 1]), ((0, 2, 5), [1]), ((0, 2, 5), [1, 0]), ((0, 2, 5), [])],
@@ -193,7 +195,7 @@ def own_cache(tmp_path, monkeypatch):
 def test_every_layer_agrees_with_plain_numpy(tmp_path, version, classes):
     rng = np.random.default_rng(3)
     convolutions = list(random_convolutions(rng))
-    model = onnx_model(*write(tmp_path, convolutions, version), classes)
+    model = DarknetFile(converted(tmp_path, convolutions, version)).cut_to(classes)
     session = onnxruntime.InferenceSession(model, providers=["CPUExecutionProvider"])
     for _ in range(3):
         image = rng.uniform(0, 255, (1, 3, 16, 12)).astype(np.float32)
@@ -217,24 +219,26 @@ def test_the_cfg_is_read_as_it_says(tmp_path):
     assert [head.scale_xy for head in network.heads] == [1.0, 1.05]
 
 
-def test_a_conversion_is_kept_and_a_damaged_one_made_again(tmp_path, own_cache):
-    paths = write(tmp_path, random_convolutions(np.random.default_rng(3)))
-    model = onnx_model(*paths, BOTH)
-    (kept,) = (own_cache / "stillroom").rglob("*.sealed")
-    stamp = kept.stat().st_mtime_ns
-    assert onnx_model(*paths, BOTH) == model
-    assert kept.stat().st_mtime_ns == stamp, "converted again although nothing changed"
-    kept.write_bytes(kept.read_bytes()[:-5])
-    assert onnx_model(*paths, BOTH) == model
-    other = write(tmp_path, random_convolutions(np.random.default_rng(4)))
-    assert onnx_model(*other, BOTH) != model, "other weights must not meet the old conversion"
-    assert onnx_model(*paths, (1, 0)) != onnx_model(*paths, BOTH), "nor other classes"
+def test_the_file_says_what_its_heads_are_read_with(tmp_path):
+    heads = DarknetFile(converted(tmp_path, random_convolutions(np.random.default_rng(3)))).heads
+    assert heads.classes == ("dog", "cat")
+    assert [(head.anchors_px, head.scale_xy) for head in heads.heads] == [(((3, 4), (5, 6)), 1.0), (((1, 2),), 1.05)]
 
 
-def test_a_cache_that_cannot_be_written_is_no_error(tmp_path, monkeypatch):
-    (tmp_path / "file").write_text("in the way")
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
-    assert onnx_model(*write(tmp_path, random_convolutions(np.random.default_rng(3))), BOTH)
+@pytest.mark.parametrize("variant", ["1.1", "1.1-xl"])
+def test_the_shipped_networks_are_the_converted_originals(yolo_weights, variant):
+    files = [yolo_weights / f"yolo-fastest-{variant}.{suffix}" for suffix in ("cfg", "weights")]
+    model = onnx.load_model_from_string(convert_files(*files, yolo_weights / "coco.names"))
+    shipped = onnx.load(str(importlib.resources.files("stillroom.semantics") / "weights" / SHIPPED[variant]))
+    assert "YOLO licence" in shipped.doc_string
+    assert (shipped.graph, list(shipped.metadata_props)) == (model.graph, list(model.metadata_props))
+
+
+def test_names_that_are_not_of_this_network(tmp_path):
+    files = write(tmp_path, random_convolutions(np.random.default_rng(3)))
+    files[2].write_text("dog\ncat\nmouse\n")
+    with pytest.raises(WeightsError, match=r"net\.names: 3 class names; the network has 2"):
+        convert_files(*files)
 
 
 @pytest.mark.parametrize(
@@ -242,10 +246,10 @@ def test_a_cache_that_cannot_be_written_is_no_error(tmp_path, monkeypatch):
     [(4, b"", "truncated"), (2, b"", "truncated"), (0, b"1234", "too long"), (10**6, b"", "truncated")],
 )
 def test_weights_of_the_wrong_length(tmp_path, cut, tail, said):
-    cfg, weights = write(tmp_path, random_convolutions(np.random.default_rng(3)), tail=tail)
+    cfg, weights, _ = write(tmp_path, random_convolutions(np.random.default_rng(3)), tail=tail)
     content = weights.read_bytes()
     weights.write_bytes(content[: max(0, len(content) - cut)])
-    with pytest.raises(WeightsError, match=rf"net\.weights: {said}.*stillroom download models") as caught:
+    with pytest.raises(WeightsError, match=rf"net\.weights: {said}.*fetch it again") as caught:
         read_weights(weights, read_cfg(cfg))
     assert "\n" not in str(caught.value)
 
@@ -254,7 +258,7 @@ def test_weights_of_the_wrong_length(tmp_path, cut, tail, said):
 def test_weights_that_are_not_finite(tmp_path, index):
     convolutions = list(random_convolutions(np.random.default_rng(3)))
     convolutions[0][0][index][2] = np.nan if index == 0 else -1.0  # a bias; a variance below zero
-    cfg, weights = write(tmp_path, convolutions)
+    cfg, weights, _ = write(tmp_path, convolutions)
     with pytest.raises(WeightsError, match="not finite"):
         read_weights(weights, read_cfg(cfg))
 
@@ -305,12 +309,21 @@ def test_a_file_that_is_no_cfg(tmp_path, content, said):
         read_cfg(tmp_path / "net.cfg")
 
 
-def test_missing_files(tmp_path):
-    with pytest.raises(WeightsError, match=r"net\.cfg: No such file.*stillroom download models"):
-        onnx_model(tmp_path / "net.cfg", tmp_path / "net.weights", BOTH)
-    (tmp_path / "net.cfg").write_text(CFG)
-    with pytest.raises(WeightsError, match=r"net\.weights: No such file.*stillroom download models"):
-        onnx_model(tmp_path / "net.cfg", tmp_path / "net.weights", BOTH)
+@pytest.mark.parametrize("missing", [0, 1])
+def test_missing_files(tmp_path, missing):
+    files = write(tmp_path, random_convolutions(np.random.default_rng(3)))
+    files[missing].unlink()
+    with pytest.raises(WeightsError, match=rf"{files[missing].name}: No such file"):
+        convert_files(*files)
+
+
+def test_a_head_that_cannot_be_cut_is_refused(tmp_path):
+    """Its one anchor is computed in two groups."""
+    one_class_more = CFG.replace("filters=7\n", "filters=8\ngroups=2\n")
+    before, _, last = one_class_more.rpartition("classes=2")
+    (tmp_path / "net.cfg").write_text(f"{before}classes=3{last}")
+    with pytest.raises(WeightsError, match=r"\[yolo\]: 1 anchors do not go in 2 groups"):
+        read_cfg(tmp_path / "net.cfg")
 
 
 def plain_boxes(heads, movable, width, height, least):
@@ -334,14 +347,10 @@ def plain_boxes(heads, movable, width, height, least):
 
 @pytest.mark.parametrize("movable", [{"cat": 1}, {"cat": 1, "dog": 0}, {}])
 def test_a_whole_detector_agrees_with_plain_loops(tmp_path, movable):
-    """The tiny network in the place of YOLO-Fastest: no weights of anyone's are needed for this."""
+    """The tiny network in the place of YOLO-Fastest."""
     rng = np.random.default_rng(3)
     convolutions = list(random_convolutions(rng))
-    cfg, weights = write(tmp_path, convolutions)
-    cfg.rename(tmp_path / "yolo-fastest-1.1.cfg")
-    weights.rename(tmp_path / "yolo-fastest-1.1.weights")
-    (tmp_path / "coco.names").write_text("dog\ncat\n")
-    config = YoloFastestConfig(movable=tuple(movable), nms_iou=1.0, folder=str(tmp_path))
+    config = YoloFastestConfig(movable=tuple(movable), nms_iou=1.0, model=converted(tmp_path, convolutions))
     detector = config.build_detector(0.3)
     for _ in range(3):
         rgb = rng.integers(0, 256, (16, 12, 3)).astype(np.uint8)

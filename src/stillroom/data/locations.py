@@ -41,7 +41,7 @@ def data_folders() -> list[Path]:
 
 
 def model_path(name: str) -> Path | None:
-    """Return the first existing file or folder `name`, such as "yolo_fastest", in the search order for models."""
+    """Return the first existing file or folder `name`, such as "detector.onnx", in the search order for models."""
     return _first_existing(MODELS, name)
 
 

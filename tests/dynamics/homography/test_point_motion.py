@@ -213,7 +213,7 @@ def test_a_patch_is_found_to_a_tenth_of_a_pixel(shift: tuple[float, float]) -> N
     scratch, found = np.empty((4, N_PIXELS)), np.empty(2)
     errors = []
     for x, y in EVERYWHERE[::5] + 0.37:
-        likeness = find_patch(now, x, y, then, x, y, 20, scratch, found)
+        likeness = find_patch(now, (x, y), then, (x, y), 20, scratch, found)
         if likeness > 0.95:
             errors.append(np.hypot(*(found - (x, y) - shift)))
     assert len(errors) > 0.7 * len(EVERYWHERE[::5])

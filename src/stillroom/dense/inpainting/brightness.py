@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from stillroom.data.image import RgbdImage
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F32, F64, U8, Bool
 from stillroom.geometry.camera import Camera
@@ -13,9 +14,7 @@ SAME_SHARE = 0.05
 MOST = 2.0
 
 
-def gains(
-    rgb: U8, depth_m: F32, rays: F32, T_here_there: F64, camera: Camera, here_rgb: U8, here_depth_m: F32, still: Bool
-) -> F32:
+def gains(rgb: U8, depth_m: F32, rays: F32, T_here_there: F64, camera: Camera, here: RgbdImage, still: Bool) -> F32:
     """Return what a keyframe's red, green and blue are multiplied by to look as in a frame (3,); ones where unknown.
 
     The median over a grid of the keyframe's pixels that the frame shows at the same depth, neither black nor white.
@@ -25,7 +24,7 @@ def gains(
         rays: Rays of the pixels at unit depth (H, W, 2).
         T_here_there: Pose of the keyframe's camera in the frame's (4, 4).
         camera: The calibration of both.
-        here_rgb, here_depth_m: The frame.
+        here: The frame.
         still: Its pixels that do not move (H, W).
     """
     grid = slice(EVERY_PX // 2, None, EVERY_PX)
@@ -39,7 +38,7 @@ def gains(
     inside = (column >= 0) & (row >= 0) & (column < camera.width) & (row < camera.height)
     column, row = column[inside].astype(np.int64), row[inside].astype(np.int64)
     points, colours = points[inside], colours[inside]
-    seen_m, seen = here_depth_m[row, column], here_rgb[row, column].astype(np.float64)
+    seen_m, seen = here.depth_m[row, column], here.rgb[row, column].astype(np.float64)
     same = still[row, column] & (np.abs(seen_m - points[:, 2]) < SAME_SHARE * points[:, 2])
     for each in (colours, seen):
         same &= (each.min(axis=1) > DARKEST) & (each.max(axis=1) < BRIGHTEST)

@@ -157,7 +157,7 @@ class BackgroundPainter:
         if not self.config.match_brightness:
             return np.ones(3, dtype=np.float32)
         there = seen.rgb, seen.depth_m, self._rays, T_here_there
-        return gains(*there, self._camera, image.rgb, image.depth_m, ~wanted)
+        return gains(*there, self._camera, image, ~wanted)
 
     def _weights(self, poses: list[F64]) -> list[float]:
         """Return how much each keyframe counts, given its pose (4, 4) in the present camera; the best counts 1."""

@@ -63,7 +63,13 @@ def take_gradients(image: U8, x: float, y: float, scratch: F64) -> bool:
 
 @numba.njit(nogil=True, cache=True)
 def find_patch(
-    now: U8, x: float, y: float, then: U8, u: float, v: float, iterations: int, scratch: F64, found: F64
+    now: U8,
+    at: tuple[float, float],
+    then: U8,
+    guess: tuple[float, float],
+    iterations: int,
+    scratch: F64,
+    found: F64,
 ) -> float:
     """Look in another image for the patch around a point, from a first guess on.
 
@@ -71,8 +77,8 @@ def find_patch(
     the gradients are those of the patch, taken once.
 
     Args:
-        now, x, y: Image (h, w) and the point in it [px].
-        then, u, v: The other image and the guess [px].
+        now, at: Image (h, w), and x and y of the point in it [px].
+        then, guess: The other image, and x and y of the guess [px].
         iterations: At most so many steps.
         scratch: Room for patches (4, N_PIXELS).
         found: Where the patch is (2,) [px]; filled in.
@@ -81,6 +87,7 @@ def find_patch(
         How much the patches are alike: their normalised correlation; NOT_SEEN where the patch has no corner or leaves
         an image.
     """
+    (x, y), (u, v) = at, guess
     found[0], found[1] = u, v
     if not in_view(now, x, y) or not take_gradients(now, x, y, scratch):
         return NOT_SEEN

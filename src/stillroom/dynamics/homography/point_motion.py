@@ -177,14 +177,14 @@ def locate(
     now_half, now_quarter, then_half, then_quarter, _ = images
     x, y = 0.5 * raw[0] - 0.25, 0.5 * raw[1] - 0.25
     u, v = 0.5 * guess[0] - 0.25, 0.5 * guess[1] - 0.25
-    near = find_patch(now_half, x, y, then_half, u, v, iterations, scratch, found)
+    near = find_patch(now_half, (x, y), then_half, (u, v), iterations, scratch, found)
     likeness = near
     if near < min_likeness:
         u, v = 0.25 * guess[0] - 0.375, 0.25 * guess[1] - 0.375
         x4, y4 = 0.25 * raw[0] - 0.375, 0.25 * raw[1] - 0.375
-        if find_patch(now_quarter, x4, y4, then_quarter, u, v, iterations, scratch, found) >= min_likeness:
+        if find_patch(now_quarter, (x4, y4), then_quarter, (u, v), iterations, scratch, found) >= min_likeness:
             u, v = 2.0 * found[0] + 0.5, 2.0 * found[1] + 0.5
-            likeness = find_patch(now_half, x, y, then_half, u, v, iterations, scratch, found)
+            likeness = find_patch(now_half, (x, y), then_half, (u, v), iterations, scratch, found)
     found[0], found[1] = 2.0 * found[0] + 0.5, 2.0 * found[1] + 0.5
     if likeness >= min_likeness:
         return FOUND

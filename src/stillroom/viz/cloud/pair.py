@@ -24,10 +24,8 @@ def draw_dense_pair(
     without: DenseCloud,
     with_: DenseCloud,
     T_world_cam: F64,
-    captions: tuple[str, str] = CAPTIONS,
     size_px: tuple[int, int] = (960, 640),
     view: View | None = None,
-    config: CloudRendererConfig | None = None,
 ) -> None:
     """Draw two maps from the same place: what OC-SLAM's Figures 9, 11 and 12 show.
 
@@ -36,10 +34,8 @@ def draw_dense_pair(
         without: The map without removal of what moves.
         with_: The map with it; the view is chosen to show this one whole.
         T_world_cam: Poses of the camera (M, 4, 4), at least one.
-        captions: What stands under them.
         size_px: Width and height of one picture; not used where a view is given.
         view: From where to look, in place of the default view.
-        config: How clouds look.
 
     Raises:
         StillroomError: The file cannot be written.
@@ -48,10 +44,10 @@ def draw_dense_pair(
         width, height = size_px
         strip = round(STRIP * height)
         view = default_view(with_, T_world_cam, width, height - strip).with_strip_below(strip)
-    renderer = (config or CloudRendererConfig()).build()
+    renderer = CloudRendererConfig().build()
     panels = [renderer.render(cloud, view) for cloud in (without, with_)]
     notes = [f"{len(cloud):,} points".replace(",", "\u202f") for cloud in (without, with_)]
-    write_panels(path, panels, captions, notes)
+    write_panels(path, panels, CAPTIONS, notes)
 
 
 def write_panels(path: Path, panels: list[U8], captions: tuple[str, ...], notes: list[str]) -> None:

@@ -71,7 +71,7 @@ def splat(cloud: DenseCloud, view: View, radius_m: float, two_sided: bool = Fals
     nearest = np.full((c.height, c.width), -1, dtype=np.int32)
     _nearest(points_m, normals, intrinsics, radius_m, depth_m, nearest)
     total = np.zeros((c.height, c.width, 8), dtype=np.float32)
-    _blend(points_m, normals, cloud.rgb[indices], intrinsics, radius_m, depth_m, nearest, total)
+    _blend(points_m, normals, cloud.rgb[indices], intrinsics, radius_m, (depth_m, nearest), total)
     total /= np.maximum(total[..., :1], 1e-12)
     # With no points at all there is nothing to look up; −1 stays −1 otherwise too.
     found = np.append(indices, np.int32(-1))[nearest]
@@ -118,8 +118,9 @@ def _nearest(points_m, normals, intrinsics, radius_m, depth_m, nearest):  # type
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _blend(points_m, normals, rgb, intrinsics, radius_m, depth_m, nearest, total):  # type: ignore[no-untyped-def]
-    """Add weight, depth, normal and colour of all discs that lie near the front to sums (H, W, 8)."""
+def _blend(points_m, normals, rgb, intrinsics, radius_m, front, total):  # type: ignore[no-untyped-def]
+    """Add weight, depth, normal and colour of all discs that lie near the front, from `_nearest`, to sums (H, W, 8)."""
+    depth_m, nearest = front
     height, width = depth_m.shape
     fx, fy, cx, cy = intrinsics
     for i in range(len(points_m)):

@@ -11,8 +11,7 @@ from stillroom.data.result import FrameResult, Tracked
 from stillroom.data.semantics import Semantics
 from stillroom.data.trajectory import Trajectory
 from stillroom.dynamics.asking import Asking
-from stillroom.evaluation.timed_parts import timed_part
-from stillroom.evaluation.timing import StageClock
+from stillroom.evaluation.timing import StageClock, timed_part
 from stillroom.features.places.place_memory import PlaceMemory
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64

@@ -14,13 +14,12 @@ from rich.console import Console
 from stillroom import __version__
 from stillroom.cli import main as command_line
 from stillroom.cli.main import COMMANDS, application, main
-from stillroom.cli.output.console import STDOUT
-from stillroom.cli.output.progress import RunBar
+from stillroom.cli.output import STDOUT, RunBar
 from stillroom.config import to_toml
 from stillroom.data.result import FrameResult, TrackingState
 from stillroom.data.trajectory import Trajectory, read_tum
 from stillroom.errors import StillroomError
-from stillroom.evaluation.report_text import HEADER
+from stillroom.evaluation.report import HEADER
 from stillroom.methods.registry import all_methods, configure
 
 

@@ -17,7 +17,7 @@ from stillroom.warmup import is_warm, kernels, warm_up
 
 ONE_KERNEL = """
 import numpy as np
-from stillroom.features.grid import _sort_into_cells as kernel
+from stillroom.features.matching import _sort_into_cells as kernel
 kernel(np.zeros((3, 2), np.float32), np.zeros(2, np.float32), np.array([4, 4], np.int32))
 print(sum(kernel.stats.cache_hits.values()), sum(kernel.stats.cache_misses.values()), kernel.stats.cache_path)
 """

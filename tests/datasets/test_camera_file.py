@@ -4,8 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from stillroom.datasets.calibrations import NAMED_CAMERAS, choose_camera, named_camera
-from stillroom.datasets.camera_file import read_camera, write_camera
+from stillroom.datasets.camera_file import NAMED_CAMERAS, choose_camera, named_camera, read_camera, write_camera
 from stillroom.errors import CalibrationError
 from stillroom.geometry.camera import Camera
 

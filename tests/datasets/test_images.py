@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from stillroom.datasets.images import depth_in_metres, read_depth_units, read_rgb
+from stillroom.datasets.image_sequence import depth_in_metres, read_depth_units, read_rgb
 from stillroom.errors import FrameError
 
 

@@ -7,11 +7,8 @@ import pytest
 
 from stillroom.data.trajectory import Trajectory
 from stillroom.errors import TrajectoryError
-from stillroom.evaluation.ate import ate
-from stillroom.evaluation.metrics_json import from_json, to_json
-from stillroom.evaluation.report import evaluate
-from stillroom.evaluation.report_text import HEADER, as_text, lines, percent, rows
-from stillroom.evaluation.rpe import rpe, rpe_frames
+from stillroom.evaluation.ate import ate, rpe, rpe_frames
+from stillroom.evaluation.report import HEADER, as_text, evaluate, from_json, lines, percent, rows, to_json
 from stillroom.geometry import se3
 
 T_MARKER_CAMERA = se3.exp(np.array([0.02, -0.1, 0.05, 0.2, -0.4, 0.1]))

@@ -8,8 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from stillroom.data.trajectory import Trajectory
 from stillroom.errors import TrajectoryError
-from stillroom.evaluation.pairing import pair
-from stillroom.evaluation.rpe import RelativeError, rpe, rpe_frames
+from stillroom.evaluation.ate import RelativeError, pair, rpe, rpe_frames
 from stillroom.geometry import se3
 
 NAMES = ("rmse", "mean", "median", "std", "min", "max")

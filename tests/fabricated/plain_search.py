@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from stillroom.features.grid import CELL_PX
-from stillroom.features.matching import Queries, Targets
+from stillroom.features.matching import CELL_PX, Queries, Targets
 
 
 def bits_between(first: np.ndarray, second: np.ndarray) -> np.ndarray:

@@ -7,7 +7,7 @@ from small_world import SmallMap, SmallWorld, pose
 
 from stillroom.data.map import Map
 from stillroom.geometry import se3
-from stillroom.storage.stored import FrameNote, Session
+from stillroom.storage.schema import FrameNote, Session
 
 COUNTS = ("n_visible", "n_found")
 POINT_COLUMNS = (

@@ -4,8 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from stillroom.features.corners import Corners, detect, spread
-from stillroom.features.describe import BORDER_PX
+from stillroom.features.orb import BORDER_PX, Corners, detect, spread
 
 SIZES = [(320, 240), (267, 200), (222, 167)]
 QUOTAS = [120, 80, 50]

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from stillroom.features.describe import (
+from stillroom.features.orb import (
     BORDER_PX,
     N_TURNS,
     PATCH_RADIUS_PX,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stillroom.features.grid import CELL_PX, build_grid
+from stillroom.features.matching import CELL_PX, build_grid
 
 
 @pytest.mark.parametrize("n", [1, 2, 50, 1500])

@@ -9,8 +9,7 @@ from building import parts
 
 from stillroom.data.image import RgbdImage
 from stillroom.datasets.open import open_dataset
-from stillroom.features.describe import BORDER_PX
-from stillroom.features.orb import OrbConfig
+from stillroom.features.orb import BORDER_PX, OrbConfig
 from stillroom.geometry.camera import Camera
 
 CAMERA = Camera(640, 480, 517.3, 516.5, 318.6, 255.3, (0.26, -0.95, -0.005, 0.0026, 1.16))

@@ -7,9 +7,8 @@ import cv2
 import numpy as np
 import pytest
 
-from stillroom.features import orb_pattern as orb_pattern_module
-from stillroom.features.describe import describe, orientations, patch_half_widths, turned_offsets
-from stillroom.features.orb_pattern import REACH_PX, orb_pattern
+from stillroom.features import orb as orb_pattern_module
+from stillroom.features.orb import REACH_PX, describe, orb_pattern, orientations, patch_half_widths, turned_offsets
 
 
 def textured(seed: int = 0) -> np.ndarray:

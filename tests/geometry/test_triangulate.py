@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from stillroom.geometry import se3
-from stillroom.geometry.triangulate import ray_cosines, triangulate
+from stillroom.geometry.epipolar import ray_cosines, triangulate
 
 
 def two_views(seed: int, noise: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

@@ -18,15 +18,14 @@ from stillroom.datasets.selection import select
 from stillroom.dense.dense_mapper import DenseMapperConfig
 from stillroom.errors import ConfigError, FrameError, MapError
 from stillroom.pipeline import RunOptions, RunOutcome, run
-from stillroom.pipeline.maps.dense import dense_cloud
-from stillroom.pipeline.maps.use import MapFile, MapUse
+from stillroom.pipeline.maps import MapFile, MapUse, dense_cloud
 from stillroom.pipeline.options import detector_ranges
 from stillroom.protocols import Dataset
 from stillroom.semantics.mask_files import MaskFilesConfig
 from stillroom.semantics.truth import TruthConfig
 from stillroom.storage import load_map
 from stillroom.storage.check import check_map
-from stillroom.storage.export.trajectory import trajectories
+from stillroom.storage.export import trajectories
 from stillroom.storage.keeper import MapKeeperConfig
 from stillroom.storage.opening import log_of
 from stillroom.storage.reader import count_images
@@ -263,7 +262,7 @@ KILLED = """
 import os, signal, sys, threading, time
 from pathlib import Path
 
-import stillroom.pipeline.maps.use as use
+import stillroom.pipeline.maps as use
 from stillroom.storage.writer import MapWriter
 
 path, log, statement, seconds = Path(sys.argv[1]), sys.argv[2], int(sys.argv[3]), float(sys.argv[4])

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from stillroom.errors import ConfigError, StillroomError
-from stillroom.pipeline import folders
-from stillroom.pipeline.folders import chosen_folder, new_folder, results_folder
+from stillroom.pipeline import results
+from stillroom.pipeline.results import chosen_folder, new_folder, results_folder
 
 
 class Clock:
@@ -18,7 +18,7 @@ class Clock:
 
 @pytest.fixture(autouse=True)
 def _always_the_same_minute(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(folders, "datetime", Clock)
+    monkeypatch.setattr(results, "datetime", Clock)
 
 
 def test_runs_of_one_minute_have_folders_of_their_own(tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from stillroom.data.trajectory import read_tum
 from stillroom.datasets.selection import Selected, select
 from stillroom.errors import ConfigError, FrameError, StillroomError
 from stillroom.evaluation.ate import ate
-from stillroom.evaluation.metrics_json import from_json
+from stillroom.evaluation.report import from_json
 from stillroom.evaluation.timing import FRAME
 from stillroom.methods.registry import configure, method
 from stillroom.pipeline import RunOptions, RunOutcome, Source, evaluate_folder, run

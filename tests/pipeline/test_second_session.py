@@ -16,7 +16,7 @@ from stillroom.datasets.open import open_dataset
 from stillroom.datasets.selection import select
 from stillroom.methods.registry import configure
 from stillroom.pipeline import RunOptions, RunOutcome, run
-from stillroom.pipeline.maps.use import MapFile, MapUse
+from stillroom.pipeline.maps import MapFile, MapUse
 
 POSES_ONLY = ("dense.kind=nothing",)
 

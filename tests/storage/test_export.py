@@ -11,9 +11,8 @@ from random_map import EventfulLife, session
 from small_world import CAMERA
 
 from stillroom.geometry import se3
-from stillroom.storage.export.colmap import write_colmap
-from stillroom.storage.export.trajectory import keyframe_trajectories, trajectories, write_trajectories
-from stillroom.storage.stored import FrameNote, StoredMap
+from stillroom.storage.export import keyframe_trajectories, trajectories, write_colmap, write_trajectories
+from stillroom.storage.schema import FrameNote, StoredMap
 
 
 @pytest.fixture

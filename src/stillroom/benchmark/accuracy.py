@@ -5,8 +5,8 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from stillroom.benchmark.trial import Trial
-from stillroom.evaluation.report_text import percent
-from stillroom.evaluation.statistics import Spread, improvement_percent
+from stillroom.evaluation.ate import Spread, improvement_percent
+from stillroom.evaluation.report import percent
 
 HEADER = ("method", "ATE median", "mean", "min", "max", "improvement", "tracked", "RPE m/s", "deg/s")
 """Names of the columns of `Accuracy.row`; ATE in m."""

@@ -14,7 +14,7 @@ from stillroom.datasets.selection import parse_range, select
 from stillroom.datasets.synthetic import SyntheticRoom
 from stillroom.dense.dense_mapper import DenseMapperConfig
 from stillroom.errors import ConfigError
-from stillroom.evaluation.report_text import percent
+from stillroom.evaluation.report import percent
 from stillroom.pipeline import SILENT, Progress
 from stillroom.protocols import Dataset
 from stillroom.viz.cloud.pair import draw_dense_pair

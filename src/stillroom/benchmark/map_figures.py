@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from stillroom.evaluation.ghosts import CompletenessFigure, GhostFigure, SurfaceFigure
-from stillroom.evaluation.report_text import percent
+from stillroom.evaluation.report import percent
 
 HEADER = ("dense map", "points", "ghosts", "suspects", "complete", "error median", "astray")
 """Names of the columns of `MapFigures.row`."""

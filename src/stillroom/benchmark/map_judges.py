@@ -17,7 +17,7 @@ from stillroom.evaluation.ghosts import (
     ghosts_in_free_space,
     seen_again,
 )
-from stillroom.evaluation.report_text import percent
+from stillroom.evaluation.report import percent
 from stillroom.geometry import se3
 from stillroom.geometry.align import align_poses
 from stillroom.geometry.arrays import F64, Floats

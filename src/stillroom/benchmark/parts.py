@@ -13,7 +13,7 @@ from stillroom.config import SlamConfig
 from stillroom.dynamics.clusters.sieve import ClusterSieveConfig
 from stillroom.dynamics.keep_all import KeepAllConfig
 from stillroom.errors import ConfigError
-from stillroom.evaluation.report_text import percent
+from stillroom.evaluation.report import percent
 from stillroom.protocols import Dataset
 from stillroom.semantics.depth_clusters import NoClustersConfig
 from stillroom.semantics.detector_off import FrameRange

@@ -11,7 +11,7 @@ from stillroom.dynamics.clusters.sieve import ClusterSieveConfig
 from stillroom.dynamics.keep_all import KeepAllConfig
 from stillroom.dynamics.paper_epipolar import PaperEpipolarConfig
 from stillroom.dynamics.whole_boxes import WholeBoxesConfig
-from stillroom.evaluation.report_text import percent
+from stillroom.evaluation.report import percent
 from stillroom.semantics.depth_clusters import NoClustersConfig
 
 NO_REJECTION, WHOLE_BOXES, LITERAL, PRESET = "no rejection", "whole boxes", "the paper's literal rule", "the preset"

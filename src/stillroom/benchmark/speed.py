@@ -16,7 +16,7 @@ from stillroom.config import SlamConfig
 from stillroom.data.image import RgbdImage
 from stillroom.data.trajectory import Trajectory
 from stillroom.datasets.recording import View
-from stillroom.evaluation.report_text import percent
+from stillroom.evaluation.report import percent
 from stillroom.evaluation.timing import FRAME, StageTime, peak_memory_mb
 from stillroom.pipeline import SILENT, Progress
 from stillroom.pipeline.run import LOADING

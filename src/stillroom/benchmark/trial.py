@@ -11,8 +11,7 @@ from stillroom.data.image import RgbdImage
 from stillroom.data.result import FrameResult
 from stillroom.data.semantics import Semantics
 from stillroom.dense.nothing import NoDenseMapConfig
-from stillroom.evaluation.report import Evaluation
-from stillroom.evaluation.report_text import percent
+from stillroom.evaluation.report import Evaluation, percent
 from stillroom.evaluation.timing import StageClock
 from stillroom.pipeline import SILENT, Progress, RunOptions, run
 from stillroom.protocols import Dataset, RunObserver, Segmenter

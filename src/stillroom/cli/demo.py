@@ -6,14 +6,11 @@ from typing import Annotated
 
 import typer
 
-from stillroom.cli.output.console import STDERR, say, show_log
-from stillroom.cli.output.frame_bar import FrameBar
-from stillroom.cli.output.tables import print_lines, print_table
+from stillroom.cli.output import STDERR, FrameBar, print_lines, print_table, say, show_log
 from stillroom.cli.warmup import ensure_warm
 from stillroom.config import SlamConfig
-from stillroom.evaluation.report import Evaluation
-from stillroom.evaluation.report_text import percent
-from stillroom.evaluation.statistics import improvement_percent
+from stillroom.evaluation.ate import improvement_percent
+from stillroom.evaluation.report import Evaluation, percent
 from stillroom.methods.registry import configure
 from stillroom.pipeline import RunOptions, RunOutcome, Source, run
 from stillroom.pipeline.plots import draw_plots

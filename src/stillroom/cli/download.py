@@ -7,8 +7,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, DownloadColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
-from stillroom.cli.output.console import STDERR, say
-from stillroom.cli.output.tables import print_lines
+from stillroom.cli.output import STDERR, print_lines, say
 from stillroom.data.locations import data_home, models_home
 from stillroom.download import OFFICIAL, PSPNET_R50
 from stillroom.download import download as fetch_target

@@ -43,10 +43,10 @@ def evaluate(
         stillroom evaluate results/latest --baseline results/the_run_before
         stillroom evaluate --estimate mine.txt --groundtruth groundtruth.txt
     """
-    from stillroom.cli.output.console import show_log
-    from stillroom.evaluation.metrics_json import to_json
+    from stillroom.cli.output import show_log
+    from stillroom.evaluation.report import to_json
     from stillroom.pipeline import evaluate_files, evaluate_folder
-    from stillroom.pipeline.folders import chosen_folder, new_folder
+    from stillroom.pipeline.results import chosen_folder, new_folder
 
     show_log()
     if estimate is None:
@@ -65,7 +65,7 @@ def evaluate(
     if json:
         typer.echo(to_json(judged.evaluation), nl=False)
         return
-    from stillroom.cli.output.tables import print_evaluation, print_lines
+    from stillroom.cli.output import print_evaluation, print_lines
 
     print_lines([judged.name])
     print_evaluation(judged.evaluation)

@@ -44,11 +44,11 @@ def export(
         stillroom export results/latest
         stillroom export results/latest --format mesh,occupancy --out for_the_robot
     """
-    from stillroom.cli.output.console import show_log
+    from stillroom.cli.output import show_log
     from stillroom.config import with_overrides
     from stillroom.dense.export.cloud_file import NAME, load_cloud
     from stillroom.dense.export.formats import ALL, ExportConfig, chosen_formats
-    from stillroom.pipeline.folders import results_folder
+    from stillroom.pipeline.results import results_folder
 
     show_log()
     names = chosen_formats(name for part in format_ or [ALL] for name in part.split(","))
@@ -67,8 +67,7 @@ def export(
 
 def _write_each(cloud: "DenseCloud", names: tuple[str, ...], place: Path, config: "ExportConfig") -> bool:
     """Write every format, whatever becomes of the others; tell whether all went well."""
-    from stillroom.cli.output.console import print_error
-    from stillroom.cli.output.tables import print_lines
+    from stillroom.cli.output import print_error, print_lines
     from stillroom.dense.export.formats import FORMATS
 
     all_well = True

@@ -66,11 +66,10 @@ def inpaint(
 
 
 def _paint(chosen: "SlamConfig", source: "Source", wanted: "InpaintingRecorderConfig", out: Path | None) -> None:
-    from stillroom.cli.output.console import STDERR, say, show_log
-    from stillroom.cli.output.progress import RunBar
+    from stillroom.cli.output import STDERR, RunBar, say, show_log
     from stillroom.cli.warmup import ensure_warm
     from stillroom.pipeline import RunOptions, run
-    from stillroom.pipeline.folders import chosen_folder, new_folder
+    from stillroom.pipeline.results import chosen_folder, new_folder
     from stillroom.system import segmenter_of
 
     show_log()
@@ -112,8 +111,8 @@ def _recorder(
 
 
 def _report(outcome: "RunOutcome", recorder: "InpaintingRecorder") -> None:
-    from stillroom.cli.output.tables import print_lines
-    from stillroom.evaluation.report_text import percent
+    from stillroom.cli.output import print_lines
+    from stillroom.evaluation.report import percent
 
     filled = recorder.share.filled
     lines = [f"{outcome.n_tracked} of {outcome.n_given} frames tracked, {recorder.n_frames} painted"]

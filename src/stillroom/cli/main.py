@@ -62,10 +62,8 @@ COMMANDS = (
         "stillroom.cli.map:app",
         "Say what a map file holds, check it, and turn it into files for other programs.",
     ),
-    Command("methods", "stillroom.cli.describe.methods:methods", "List the methods."),
-    Command(
-        "show-config", "stillroom.cli.describe.show_config:show_config", "Print the configuration of a method as TOML."
-    ),
+    Command("methods", "stillroom.cli.describe:methods", "List the methods."),
+    Command("show-config", "stillroom.cli.describe:show_config", "Print the configuration of a method as TOML."),
     Command("bench", "stillroom.cli.bench:app", "Measure accuracy, the worth of rejection, speed, and ghosts."),
     Command("download", "stillroom.cli.download:download", "Fetch a data set, or a network to train from."),
     Command("warmup", "stillroom.cli.warmup:warmup", "Compile all kernels now, so that the first run starts at once."),
@@ -166,7 +164,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     try:
         application(chosen, following)(args=given, prog_name="stillroom")
     except StillroomError as error:
-        from stillroom.cli.output.console import print_error
+        from stillroom.cli.output import print_error
 
         print_error(str(error))
         sys.exit(1)

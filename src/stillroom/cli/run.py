@@ -11,7 +11,7 @@ from stillroom.errors import ConfigError
 if TYPE_CHECKING:
     from stillroom.config import SlamConfig
     from stillroom.pipeline import RunOutcome, Source
-    from stillroom.pipeline.maps.use import MapFile
+    from stillroom.pipeline.maps import MapFile
 
 INTERRUPTED = 130
 SYNTHETIC = "synthetic"
@@ -84,7 +84,7 @@ def run(
 
 def _map_file(path: Path | None, continue_: bool, localize: bool) -> "MapFile | None":
     """Return what is to be done with which map file; one that cannot be used so is told now."""
-    from stillroom.pipeline.maps.use import MapFile, MapUse
+    from stillroom.pipeline.maps import MapFile, MapUse
 
     if path is None:
         if continue_ or localize:
@@ -106,13 +106,12 @@ def _track(
     detector_off: tuple[str, ...],
     map_file: "MapFile | None",
 ) -> None:
-    from stillroom.cli.output.console import STDERR, say, show_log
-    from stillroom.cli.output.progress import RunBar
+    from stillroom.cli.output import STDERR, RunBar, say, show_log
     from stillroom.cli.warmup import ensure_warm
     from stillroom.pipeline import RunOptions
     from stillroom.pipeline import run as run_pipeline
-    from stillroom.pipeline.folders import chosen_folder
     from stillroom.pipeline.options import detector_ranges
+    from stillroom.pipeline.results import chosen_folder
     from stillroom.system import segmenter_of
 
     show_log()
@@ -135,8 +134,8 @@ def _track(
 
 
 def _report(outcome: "RunOutcome") -> None:
-    from stillroom.cli.output.tables import print_evaluation, print_lines
-    from stillroom.evaluation.report_text import percent
+    from stillroom.cli.output import print_evaluation, print_lines
+    from stillroom.evaluation.report import percent
 
     if outcome.evaluation is not None:
         print_evaluation(outcome.evaluation)

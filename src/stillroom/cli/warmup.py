@@ -3,8 +3,7 @@
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from stillroom.cli.output.console import STDERR
-from stillroom.cli.output.tables import print_lines
+from stillroom.cli.output import STDERR, print_lines
 from stillroom.warmup import WarmUp, is_warm, kernel_cache, warm_up
 
 

@@ -1,16 +1,151 @@
 """What `stillroom download` knows by name, and where it comes from."""
 
 import hashlib
+import http.client
 import re
 import shutil
+import ssl
 import tarfile
+import urllib.error
+import urllib.request
 import zipfile
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 from stillroom.datasets.archive import BrokenArchiveError, unpack
-from stillroom.download.fetch import Progress, fetch, no_progress, sha256_of
 from stillroom.errors import DatasetError, DownloadError
+
+# One file over HTTP: resumed where it broke off, checked, and in place only when it is whole.
+
+
+CHUNK_BYTES = 1 << 18
+TIMEOUT_S = 30.0
+HEADERS = {"User-Agent": "stillroom", "Accept-Encoding": "identity"}
+
+Check = Callable[[Path], bool]
+
+
+class Progress(Protocol):
+    """Told how far a file has come; called often, so it should be quick."""
+
+    def __call__(self, name: str, done_bytes: int, total_bytes: int | None) -> None:
+        """Take note that `done_bytes` of `total_bytes` (None where the server does not say) have come."""
+
+
+def no_progress(name: str, done_bytes: int, total_bytes: int | None) -> None:
+    """Take note of nothing."""
+
+
+def fetch(
+    address: str,
+    destination: Path,
+    progress: Progress = no_progress,
+    sha256: str | None = None,
+    is_plausible: Check | None = None,
+) -> Path:
+    """Fetch a file, going on where an earlier attempt broke off.
+
+    What has come so far lies in `<destination>.part`; `destination` appears only when it is complete and right.
+
+    Args:
+        address: The file's URL.
+        destination: Where it shall lie. A file that lies there already and has the right checksum is kept.
+        progress: Told how far it has come.
+        sha256: The checksum that it must have, in hexadecimal digits; unchecked where not given.
+        is_plausible: Tells of the fetched file whether it is of the right kind, where no checksum is known.
+
+    Raises:
+        DownloadError: The server cannot be reached, the connection broke (run it again: it goes on from there),
+            the file came with the wrong checksum or is no such file (it was removed), or it cannot be written.
+    """
+    if destination.is_file() and (sha256 is None or sha256_of(destination) == sha256):
+        return destination
+    part = destination.with_name(destination.name + ".part")
+    try:
+        destination.parent.mkdir(parents=True, exist_ok=True)
+        _receive(address, part, destination.name, progress)
+        _verify(address, part, sha256, is_plausible)
+        part.replace(destination)
+    except DownloadError:
+        raise
+    except (urllib.error.URLError, http.client.HTTPException, TimeoutError, ConnectionError, ssl.SSLError) as error:
+        reason = getattr(error, "reason", None) or error
+        raise DownloadError(f"{address}: {_kept(part)} ({reason}); run it again when the network is back") from error
+    except OSError as error:
+        raise DownloadError(f"{destination}: cannot be written ({error.strerror or error})") from error
+    return destination
+
+
+def sha256_of(path: Path) -> str:
+    """Return the SHA-256 of a file in hexadecimal digits."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _receive(address: str, part: Path, name: str, progress: Progress) -> None:
+    have = part.stat().st_size if part.exists() else 0
+    request = urllib.request.Request(address, headers=HEADERS)
+    if have:
+        request.add_header("Range", f"bytes={have}-")
+    try:
+        response = urllib.request.urlopen(request, timeout=TIMEOUT_S)
+    except urllib.error.HTTPError as error:
+        error.close()
+        if error.code == http.HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE and have:
+            _after_the_end(address, part, name, progress, error.headers.get("Content-Range"))
+            return
+        if error.code in (http.HTTPStatus.NOT_FOUND, http.HTTPStatus.GONE):
+            raise DownloadError(f"{address}: the server has no such file; is the name right?") from error
+        raise DownloadError(f"{address}: the server answered {error.code} {error.reason}") from error
+    with response:
+        # A server that does not know ranges answers 200 and sends everything; what we have is then of no use.
+        start = have if response.status == http.HTTPStatus.PARTIAL_CONTENT else 0
+        if start and not response.headers.get("Content-Range", "").startswith(f"bytes {start}-"):
+            raise DownloadError(f"{address}: the server sent another part than was asked for; delete {part}")
+        length = response.headers.get("Content-Length")
+        total = start + int(length) if length and length.isdigit() else None
+        done = start
+        with part.open("ab" if start else "wb") as file:
+            progress(name, done, total)
+            while chunk := response.read(CHUNK_BYTES):
+                file.write(chunk)
+                done += len(chunk)
+                progress(name, done, total)
+    if total is not None and done < total:
+        raise DownloadError(f"{address}: {_kept(part, total)}; run it again to go on from there")
+
+
+def _after_the_end(address: str, part: Path, name: str, progress: Progress, content_range: str | None) -> None:
+    """Deal with a part that reaches the file's end: it is whole, or it is of another file and starts anew."""
+    have = part.stat().st_size
+    if content_range == f"bytes */{have}":
+        progress(name, have, have)
+        return
+    part.unlink()
+    _receive(address, part, name, progress)
+
+
+def _verify(address: str, part: Path, sha256: str | None, is_plausible: Check | None) -> None:
+    if sha256 is not None:
+        came = sha256_of(part)
+        if came != sha256:
+            part.unlink()
+            raise DownloadError(
+                f"{address}: came with checksum {came[:12]}…, not {sha256[:12]}…; it was removed, run it again"
+            )
+    elif is_plausible is not None and not is_plausible(part):
+        part.unlink()
+        raise DownloadError(f"{address}: what came is not the file that was meant; it was removed")
+
+
+def _kept(part: Path, total: int | None = None) -> str:
+    have = part.stat().st_size if part.exists() else 0
+    if not have:
+        return "cannot be fetched"
+    of_total = "" if total is None else f" of {total}"
+    return f"broke off after {have}{of_total} bytes, which are kept"
 
 
 @dataclass(frozen=True)

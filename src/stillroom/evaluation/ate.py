@@ -1,15 +1,213 @@
 """The absolute trajectory error (Sturm et al., IROS 2012; TUM's evaluate_ate.py)."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from stillroom.data.association import TUM_MAX_GAP_S
+from stillroom.data.association import TUM_MAX_GAP_S, associate
 from stillroom.data.trajectory import Trajectory
-from stillroom.evaluation.pairing import pair
-from stillroom.evaluation.statistics import Statistics
+from stillroom.errors import TrajectoryError
+from stillroom.geometry import se3
 from stillroom.geometry.align import align
-from stillroom.geometry.arrays import F64
+from stillroom.geometry.arrays import F64, I64, Floats
+
+# Which poses of an estimate are compared with which of the ground truth, and when they cannot be.
+
+
+MIN_PAIRS = 3
+"""An alignment of fewer poses says nothing: they always fit."""
+
+
+def pair(
+    estimate: Trajectory, groundtruth: Trajectory, max_gap_s: float = TUM_MAX_GAP_S
+) -> tuple[Trajectory, Trajectory]:
+    """Return the poses of both that belong together, row by row, in order of time.
+
+    Raises:
+        TrajectoryError: Either is empty or not finite, they do not overlap in time, or fewer than three poses
+            find a partner.
+    """
+    check_comparable(estimate, groundtruth, max_gap_s)
+    i, j = associate(estimate.timestamps_s, groundtruth.timestamps_s, max_gap_s)
+    if len(i) < MIN_PAIRS:
+        raise TrajectoryError(
+            f"only {len(i)} of the estimate's {len(estimate)} poses lie within {max_gap_s:g} s of a pose of the "
+            f"ground truth; {MIN_PAIRS} are needed: is it the same sequence and the same clock?"
+        )
+    return (
+        Trajectory(estimate.timestamps_s[i], estimate.T_world_cam[i]),
+        Trajectory(groundtruth.timestamps_s[j], groundtruth.T_world_cam[j]),
+    )
+
+
+def check_comparable(estimate: Trajectory, groundtruth: Trajectory, max_gap_s: float = TUM_MAX_GAP_S) -> None:
+    """Refuse trajectories that are empty, not finite, or of different times.
+
+    Raises:
+        TrajectoryError: They are so.
+    """
+    _check("estimate", estimate)
+    _check("ground truth", groundtruth)
+    starts, ends = zip(*((t.timestamps_s.min(), t.timestamps_s.max()) for t in (estimate, groundtruth)), strict=True)
+    if max(starts) > min(ends) + max_gap_s:
+        raise TrajectoryError(
+            f"no overlap in time: the estimate lies in {starts[0]:.3f}–{ends[0]:.3f} s, the ground truth in "
+            f"{starts[1]:.3f}–{ends[1]:.3f} s; is it the same sequence and the same clock?"
+        )
+
+
+def _check(name: str, trajectory: Trajectory) -> None:
+    if len(trajectory) == 0:
+        raise TrajectoryError(f"{name}: no poses in it, so nothing can be compared")
+    finite = np.isfinite(trajectory.timestamps_s) & np.isfinite(trajectory.T_world_cam).all(axis=(1, 2))
+    if not finite.all():
+        row = int(np.argmin(finite))
+        raise TrajectoryError(
+            f"{name}: pose {row} (from 0) at {trajectory.timestamps_s[row]:.6f} s is not finite; remove it"
+        )
+
+
+# The six numbers that TUM's tools print of a list of errors, and the spread of one figure over several runs.
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """Errors in six numbers, in the unit of the errors. `std` divides by N, as TUM's tools and evo do."""
+
+    rmse: float
+    mean: float
+    median: float
+    std: float
+    min: float
+    max: float
+
+    @classmethod
+    def of(cls, errors: Floats) -> "Statistics":
+        """Sum up errors (N,), N ≥ 1."""
+        return cls(
+            rmse=float(np.sqrt(np.mean(np.square(errors)))),
+            mean=float(np.mean(errors)),
+            median=float(np.median(errors)),
+            std=float(np.std(errors)),
+            min=float(np.min(errors)),
+            max=float(np.max(errors)),
+        )
+
+
+@dataclass(frozen=True)
+class Spread:
+    """One figure over several runs: what a result must be quoted with (docs/reference.md#comparing-figures)."""
+
+    median: float
+    mean: float
+    min: float
+    max: float
+    n_runs: int
+
+    @classmethod
+    def of(cls, figures: Sequence[float]) -> "Spread":
+        """Sum up the figures of at least one run."""
+        values = np.asarray(figures, dtype=np.float64)
+        return cls(
+            median=float(np.median(values)),
+            mean=float(np.mean(values)),
+            min=float(np.min(values)),
+            max=float(np.max(values)),
+            n_runs=len(values),
+        )
+
+
+def improvement_percent(baseline: float, figure: float) -> float | None:
+    """Return how far a figure lies below a baseline's, (1 − β/α)·100 [%]; None where the baseline is 0."""
+    return (1.0 - figure / baseline) * 100.0 if baseline else None
+
+
+# The relative pose error (Sturm et al., IROS 2012): drift over a fixed interval.
+#
+# Two conventions are in use and differ in more than the interval. TUM's evaluate_rpe.py, which the papers' m/s and
+# deg/s come from, takes motions from the later pose to the earlier, looks up the ground truth for each pose by
+# itself, and drops the pairs that end on the last pose. evo pairs the poses first and takes motions forward
+# (docs/reference.md#tum-rgb-d-evaluation).
+
+
+@dataclass(frozen=True)
+class RelativeError:
+    """How far the motion over an interval lies from the true motion.
+
+    Attributes:
+        translation_m: Translation errors over the interval [m]; for an interval of 1 s this is m/s.
+        rotation_deg: Rotation errors over the interval [deg]; for an interval of 1 s this is deg/s.
+        n_pairs: Number of pairs of poses.
+    """
+
+    translation_m: Statistics
+    rotation_deg: Statistics
+    n_pairs: int
+
+
+def rpe(estimate: Trajectory, groundtruth: Trajectory, delta_s: float = 1.0) -> RelativeError:
+    """Measure drift over a time by the rule of `evaluate_rpe.py --fixed_delta --delta DELTA --delta_unit s`.
+
+    As there, a pose is paired with the one whose time is closest to its own plus the interval, however far off
+    that lies in a gap of the estimate (it may be the pose itself); pairs that end on the last pose are left out;
+    a pose counts only when the ground truth has one within twice its median step. There, more than 10,000 pairs
+    are sampled at random; here all count.
+
+    Raises:
+        TrajectoryError: The two cannot be compared (see `check_comparable`), or fewer than two pairs are found.
+    """
+    check_comparable(estimate, groundtruth)
+    times_s, true_times_s = estimate.timestamps_s, groundtruth.timestamps_s
+    end = _closest(times_s, times_s + delta_s)
+    start = np.flatnonzero(end != len(times_s) - 1)
+    end = end[start]
+    true_index = _closest(true_times_s, times_s)
+    has_truth = np.abs(true_times_s[true_index] - times_s) <= 2 * _median_step_s(true_times_s)
+    covered = has_truth[start] & has_truth[end]
+    start, end = start[covered], end[covered]
+    # Motions backward in time, from end to start: that is TUM's way round.
+    return _measure(estimate.T_world_cam, groundtruth.T_world_cam[true_index], end, start, f"{delta_s:g} s")
+
+
+def rpe_frames(
+    estimate: Trajectory, groundtruth: Trajectory, n_frames: int = 30, max_gap_s: float = TUM_MAX_GAP_S
+) -> RelativeError:
+    """Measure drift over a number of poses, for all pairs i, i + n, as `evo_rpe -d N -u f --all_pairs` does.
+
+    Raises:
+        TrajectoryError: The two cannot be compared (see `pair`), or fewer than two pairs are found.
+    """
+    estimate, groundtruth = pair(estimate, groundtruth, max_gap_s)
+    start = np.arange(max(0, len(estimate) - n_frames))
+    return _measure(estimate.T_world_cam, groundtruth.T_world_cam, start, start + n_frames, f"{n_frames} frames")
+
+
+def _measure(T_estimate: F64, T_truth: F64, first: I64, second: I64, interval: str) -> RelativeError:
+    """Compare the motions between rows `first` (K,) and `second` (K,) of poses (N, 4, 4)."""
+    if len(first) < 2:
+        raise TrajectoryError(f"fewer than two pairs of poses lie {interval} apart: the trajectory is too short")
+    estimated = se3.inverse(T_estimate[first]) @ T_estimate[second]
+    true = se3.inverse(T_truth[first]) @ T_truth[second]
+    error = se3.inverse(true) @ estimated
+    return RelativeError(
+        translation_m=Statistics.of(np.linalg.norm(error[:, :3, 3], axis=1)),
+        rotation_deg=Statistics.of(np.degrees(se3.angle_rad(error))),
+        n_pairs=len(first),
+    )
+
+
+def _closest(sorted_s: F64, wanted_s: F64) -> I64:
+    """Return the index (K,) of the time closest to each wanted time (K,)."""
+    if len(sorted_s) == 1:
+        return np.zeros(len(wanted_s), dtype=np.int64)
+    right = np.clip(np.searchsorted(sorted_s, wanted_s), 1, len(sorted_s) - 1)
+    left_is_closer = wanted_s - sorted_s[right - 1] <= sorted_s[right] - wanted_s
+    return np.asarray(right - left_is_closer, dtype=np.int64)
+
+
+def _median_step_s(times_s: F64) -> float:
+    return float(np.median(np.diff(times_s))) if len(times_s) > 1 else 0.0
 
 
 @dataclass(frozen=True)

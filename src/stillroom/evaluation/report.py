@@ -1,14 +1,14 @@
 """All figures of one trajectory together."""
 
+import json
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 from stillroom.data.association import TUM_MAX_GAP_S
 from stillroom.data.trajectory import Trajectory
 from stillroom.errors import TrajectoryError
-from stillroom.evaluation.ate import ate
-from stillroom.evaluation.rpe import RelativeError, rpe, rpe_frames
-from stillroom.evaluation.statistics import Statistics, improvement_percent
+from stillroom.evaluation.ate import RelativeError, Statistics, ate, improvement_percent, rpe, rpe_frames
 
 AS_GIVEN = "as given"
 AT_CAMERA = "moved to the camera"
@@ -146,3 +146,154 @@ def _or_none(measure: Callable[[], RelativeError]) -> RelativeError | None:
         return measure()
     except TrajectoryError:
         return None
+
+
+# An evaluation in plain words and rows, for whoever prints it.
+
+
+HEADER = ("error", "ground truth", "rmse", "mean", "median", "std", "min", "max")
+"""Names of the columns of `rows`."""
+
+
+def rows(evaluation: Evaluation) -> list[tuple[str, ...]]:
+    """Return one row of text for each kind of error, its cells as in `HEADER`; the unit stands in the first."""
+    comparisons = (evaluation.as_given, evaluation.at_camera)
+    return [row for comparison in comparisons if comparison is not None for row in _rows(comparison)]
+
+
+def lines(evaluation: Evaluation) -> list[str]:
+    """Return, a sentence a line, what the rows must be read with: coverage, pairs, convention, the still camera."""
+    sentences = [_coverage(evaluation)]
+    for comparison in (evaluation.as_given, evaluation.at_camera):
+        if comparison is not None:
+            sentences.append(
+                f"{comparison.n_compared} poses compared with the ground truth {comparison.groundtruth}; a camera "
+                f"that never moved has ATE {comparison.still_camera_m:.4f} m there (SE(3), RMSE)"
+            )
+    if evaluation.at_camera is not None:
+        sentences.append(
+            f"RPE means something only against the ground truth {evaluation.at_camera.groundtruth}: the given poses "
+            "are those of another body"
+        )
+    if evaluation.improvement is not None:
+        sentences.append(_improvement(evaluation.improvement))
+    return sentences
+
+
+def as_text(evaluation: Evaluation) -> str:
+    """Return rows, aligned in columns, and sentences as one text without colour."""
+    table = [HEADER, *rows(evaluation)]
+    widths = [max(len(row[column]) for row in table) for column in range(len(HEADER))]
+    text = []
+    for row in table:
+        words = [cell.ljust(width) for cell, width in zip(row[:2], widths[:2], strict=True)]
+        numbers = [cell.rjust(width) for cell, width in zip(row[2:], widths[2:], strict=True)]
+        text.append("  ".join([*words, *numbers]))
+    return "\n".join([*text, "", *lines(evaluation)]) + "\n"
+
+
+def percent(share: float | None) -> str:
+    """Return a share of 1 as per cent, never rounded up to 100 %; '–' for None."""
+    if share is None:
+        return "–"
+    text = f"{share * 100:.1f} %"
+    return "99.9 %" if share < 1 and text == "100.0 %" else text
+
+
+def _rows(comparison: Comparison) -> list[tuple[str, ...]]:
+    truth, scale = comparison.groundtruth, comparison.scale
+    return [
+        _row("ATE [m], SE(3)", truth, comparison.ate_se3_m, 4),
+        _row(f"ATE [m], Sim(3), scale {scale:.4f}", truth, comparison.ate_sim3_m, 4),
+        *_relative_rows("over 1 s", ("m/s", "deg/s"), truth, comparison.rpe_1s),
+        *_relative_rows("over 30 frames", ("m", "deg"), truth, comparison.rpe_30_frames),
+    ]
+
+
+def _relative_rows(
+    interval: str, units: tuple[str, str], truth: str, error: RelativeError | None
+) -> list[tuple[str, ...]]:
+    translation, rotation = (f"RPE [{unit}] {interval}" for unit in units)
+    if error is None:
+        return [(name, truth, *["–"] * (len(HEADER) - 2)) for name in (translation, rotation)]
+    return [_row(translation, truth, error.translation_m, 4), _row(rotation, truth, error.rotation_deg, 3)]
+
+
+def _row(name: str, truth: str, s: Statistics, digits: int) -> tuple[str, ...]:
+    return (name, truth, *(f"{value:.{digits}f}" for value in (s.rmse, s.mean, s.median, s.std, s.min, s.max)))
+
+
+def _coverage(evaluation: Evaluation) -> str:
+    if evaluation.n_given is None:
+        return f"{evaluation.n_tracked} poses; of how many frames is not known, so neither is the coverage"
+    return f"{evaluation.n_tracked} of {evaluation.n_given} frames tracked ({percent(evaluation.coverage)})"
+
+
+def _improvement(gain: Improvement) -> str:
+    parts = [
+        f"{name} {value:+.1f} %"
+        for name, value in (
+            ("ATE", gain.ate_percent),
+            ("RPE translation", gain.rpe_translation_percent),
+            ("RPE rotation", gain.rpe_rotation_percent),
+        )
+        if value is not None
+    ]
+    return f"improvement over {gain.baseline} in RMSE, (1 − β/α)·100: {', '.join(parts) or 'not comparable'}"
+
+
+# An evaluation as JSON, the `metrics.json` of a results folder, and back.
+
+
+def to_json(evaluation: Evaluation) -> str:
+    """Return the figures as JSON text; `coverage` is added for readers."""
+    return json.dumps(asdict(evaluation) | {"coverage": evaluation.coverage}, indent=2, allow_nan=False) + "\n"
+
+
+def from_json(text: str) -> Evaluation:
+    """Read what `to_json` wrote.
+
+    Raises:
+        TrajectoryError: The text holds no such figures.
+    """
+    try:
+        data = json.loads(text)
+        at_camera, improvement = data["at_camera"], data["improvement"]
+        return Evaluation(
+            n_tracked=int(data["n_tracked"]),
+            n_given=None if data["n_given"] is None else int(data["n_given"]),
+            as_given=_comparison(data["as_given"]),
+            at_camera=None if at_camera is None else _comparison(at_camera),
+            improvement=None if improvement is None else Improvement(**improvement),
+        )
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise TrajectoryError(
+            f"not the figures of an evaluation ({type(error).__name__}: {error}); expected a metrics.json"
+        ) from None
+
+
+def _comparison(data: dict[str, Any]) -> Comparison:
+    return Comparison(
+        groundtruth=str(data["groundtruth"]),
+        n_compared=int(data["n_compared"]),
+        ate_se3_m=_statistics(data["ate_se3_m"]),
+        ate_sim3_m=_statistics(data["ate_sim3_m"]),
+        scale=float(data["scale"]),
+        still_camera_m=float(data["still_camera_m"]),
+        rpe_1s=_relative(data["rpe_1s"]),
+        rpe_30_frames=_relative(data["rpe_30_frames"]),
+    )
+
+
+def _relative(data: dict[str, Any] | None) -> RelativeError | None:
+    if data is None:
+        return None
+    return RelativeError(
+        translation_m=_statistics(data["translation_m"]),
+        rotation_deg=_statistics(data["rotation_deg"]),
+        n_pairs=int(data["n_pairs"]),
+    )
+
+
+def _statistics(data: dict[str, Any]) -> Statistics:
+    return Statistics(**{name: float(value) for name, value in data.items()})

@@ -1,18 +1,247 @@
 """ORB features on a scale pyramid, spread evenly, with depth (ORB-SLAM2; Rublee et al., ICCV 2011)."""
 
 from dataclasses import dataclass
+from functools import lru_cache
+from operator import attrgetter
 
 import cv2
 import numpy as np
+from numba import njit
 
 from stillroom.data.frame import Frame, Keypoints, ScaleLevels
 from stillroom.data.image import RgbdImage
-from stillroom.features.corners import Corners, detect, spread
-from stillroom.features.describe import BORDER_PX, describe, orientations, patch_half_widths, turned_offsets
-from stillroom.features.orb_pattern import orb_pattern
-from stillroom.geometry.arrays import F32, I64, U8
+from stillroom.geometry.arrays import F32, F64, I32, I64, U8, Bool, Floats
 from stillroom.geometry.camera import Camera
 from stillroom.protocols import Parts
+
+# FAST corners, spread evenly over every level of the pyramid.
+
+
+_response = attrgetter("response")
+
+
+@dataclass(frozen=True)
+class Corners:
+    """C corners on the levels of a pyramid, level after level.
+
+    Attributes:
+        px: Position on the corner's own level (C, 2) float32 [px], whole numbers.
+        score: FAST score (C,) float32: the largest threshold at which it still is a corner.
+        level: Pyramid level (C,) int32.
+    """
+
+    px: F32
+    score: F32
+    level: I32
+
+
+def detect(levels: list[U8], threshold: int, border_px: int) -> Corners:
+    """Find FAST corners with non-maximum suppression on each level, at least `border_px` from its edges."""
+    fast = cv2.FastFeatureDetector.create(threshold, nonmaxSuppression=True)
+    px, score, level = [], [], []
+    for number, image in enumerate(levels):
+        inner = image[border_px - 3 : image.shape[0] - border_px + 3, border_px - 3 : image.shape[1] - border_px + 3]
+        found = fast.detect(inner) if min(inner.shape) > 6 else ()
+        px.append(np.asarray(cv2.KeyPoint.convert(found), dtype=np.float32).reshape(-1, 2) + (border_px - 3))
+        score.append(np.fromiter(map(_response, found), np.float32, len(found)))
+        level.append(np.full(len(found), number, dtype=np.int32))
+    return Corners(np.concatenate(px).astype(np.float32), np.concatenate(score), np.concatenate(level))
+
+
+def spread(corners: Corners, sizes: list[tuple[int, int]], quotas: list[int], strong: float, seed: int) -> I64:
+    """Choose corners evenly: the best of every cell, then every cell's second best, until a level's quota is full.
+
+    Each level is cut into about as many square cells as it may keep corners. Where a cell has a strong corner its weak
+    ones are left out (ORB-SLAM2's two thresholds). Corners of equal score, of which there are many, are ordered by a
+    hash of place and seed: runs with different seeds sample how much the result depends on such accidents.
+
+    Args:
+        corners: What was found.
+        sizes: Width and height of each level [px].
+        quotas: Corners to keep on each level.
+        strong: Score from which a corner counts as strong.
+        seed: Orders what is equal.
+
+    Returns:
+        Indices of the chosen corners (K,), level after level, best first.
+    """
+    if len(corners.level) == 0:
+        return np.zeros(0, dtype=np.int64)
+    cell = _cells(corners, sizes, quotas)
+    merit = (255 - np.clip(corners.score, 0, 255).astype(np.int64)) << 16 | _hash16(corners.px, seed)
+    order = np.argsort(cell << 24 | merit, kind="stable")
+    cell_sorted = cell[order]
+    first = np.flatnonzero(np.r_[True, cell_sorted[1:] != cell_sorted[:-1]])
+    sizes_of_cells = np.diff(np.r_[first, len(order)])
+    rank = np.arange(len(order)) - np.repeat(first, sizes_of_cells)
+    best = np.repeat(corners.score[order[first]], sizes_of_cells)
+    fit = (best < strong) | (corners.score[order] >= strong)
+    order, rank = order[fit], rank[fit]
+    level = corners.level[order].astype(np.int64)
+    turn = level << 44 | np.minimum(rank, (1 << 19) - 1) << 24 | merit[order]
+    by_turn = np.argsort(turn, kind="stable")
+    starts = np.searchsorted(level[by_turn], np.arange(len(quotas)))
+    place = np.arange(len(by_turn)) - starts[level[by_turn]]
+    return order[by_turn[place < np.asarray(quotas)[level[by_turn]]]]
+
+
+def _cells(corners: Corners, sizes: list[tuple[int, int]], quotas: list[int]) -> I64:
+    """Return a number for each corner's cell (C,), different over all levels and increasing with the level."""
+    width_px, height_px = (np.array(side, dtype=np.float64) for side in zip(*sizes, strict=True))
+    side_px = np.sqrt(width_px * height_px / np.maximum(1, quotas))
+    per_row = np.ceil(width_px / side_px).astype(np.int64) + 1
+    per_level = per_row * (np.ceil(height_px / side_px).astype(np.int64) + 1)
+    offset = np.concatenate(([0], np.cumsum(per_level)[:-1]))
+    column = (corners.px[:, 0] / side_px[corners.level]).astype(np.int64)
+    row = (corners.px[:, 1] / side_px[corners.level]).astype(np.int64)
+    return np.asarray(offset[corners.level] + row * per_row[corners.level] + column, dtype=np.int64)
+
+
+def _hash16(px: Floats, seed: int) -> I64:
+    x, y = px[:, 0].astype(np.int64), px[:, 1].astype(np.int64)
+    mixed = (x * 73856093) ^ (y * 19349663) ^ ((seed + 1) * 83492791)
+    return np.asarray((mixed ^ (mixed >> 13)) & 0xFFFF, dtype=np.int64)
+
+
+# Orientation and ORB descriptor of corners, on one level of the pyramid.
+
+
+PATCH_RADIUS_PX = 15
+BORDER_PX = 19
+"""The turned pattern reaches 13·√2 px and rounds up; nothing closer to the edge can be described."""
+N_TURNS = 256
+"""The pattern is turned in steps of 1.4°, a tenth of what the descriptor notices; a table is faster than sines."""
+
+
+def patch_half_widths() -> I32:
+    """Return the half width of each row of the disc over which the orientation is taken, (16,) int32.
+
+    The disc is OpenCV's: symmetric about the diagonal, so that its steep part mirrors the flat one. Rounding each row
+    by itself, as one would, turns the angle by 2° in the median and with it the descriptor away from everyone's.
+    """
+    rows = np.arange(PATCH_RADIUS_PX + 1)
+    widths = np.rint(np.sqrt(PATCH_RADIUS_PX**2 - rows**2)).astype(np.int32)
+    mirrored = np.array([np.flatnonzero(widths >= row).max() for row in rows], dtype=np.int32)
+    return np.where(rows * np.sqrt(2.0) > PATCH_RADIUS_PX, mirrored, widths).astype(np.int32)
+
+
+@njit(nogil=True, cache=True)
+def orientations(image: U8, px: F32, half_widths: I32, angle_rad: F32) -> None:
+    """Fill the angle (N,) from keypoint to the centroid of brightness in its disc (Rublee et al. 2011, 3.2)."""
+    radius = len(half_widths) - 1
+    for i in range(len(px)):
+        cx, cy = int(px[i, 0]), int(px[i, 1])
+        m10, m01 = 0, 0
+        for dx in range(-radius, radius + 1):
+            m10 += dx * int(image[cy, cx + dx])
+        for dy in range(1, radius + 1):
+            total = 0
+            for dx in range(-half_widths[dy], half_widths[dy] + 1):
+                below, above = int(image[cy + dy, cx + dx]), int(image[cy - dy, cx + dx])
+                total += below - above
+                m10 += dx * (below + above)
+            m01 += dy * total
+        angle_rad[i] = np.arctan2(np.float32(m01), np.float32(m10))
+
+
+def turned_offsets(pattern: I32, row_px: int) -> I32:
+    """Return the pattern (256, 4) turned by each of `N_TURNS` angles, as offsets in a flat image with rows of `row_px`.
+
+    Returns:
+        Offsets (N_TURNS, 512) int32: of comparison k the first place at 2k, the second at 2k + 1.
+    """
+    angle_rad = 2.0 * np.pi * np.arange(N_TURNS) / N_TURNS
+    c, s = np.cos(angle_rad)[:, None], np.sin(angle_rad)[:, None]
+    x, y = pattern.reshape(-1, 2).T.astype(np.float64)
+    return np.asarray(np.rint(x * s + y * c) * row_px + np.rint(x * c - y * s), dtype=np.int32)
+
+
+@njit(nogil=True, cache=True)
+def describe(blurred: U8, px: F32, angle_rad: F32, offsets: I32, descriptors: U8) -> None:
+    """Fill the descriptors (N, 32): 256 comparisons of the blurred level, turned by the keypoint's angle."""
+    flat = blurred.reshape(-1)
+    per_rad = N_TURNS / (2.0 * np.pi)
+    for i in range(len(px)):
+        middle = int(px[i, 1]) * blurred.shape[1] + int(px[i, 0])
+        turned = offsets[int(np.floor(angle_rad[i] * per_rad + 0.5)) % N_TURNS]
+        for byte in range(32):
+            value = 0
+            for bit in range(8):
+                k = 16 * byte + 2 * bit
+                value |= (flat[middle + turned[k]] < flat[middle + turned[k + 1]]) << bit
+            descriptors[i, byte] = value
+
+
+# The 256 comparisons of the ORB descriptor, asked of OpenCV.
+#
+# Descriptors are worth most when they are everyone's: OpenCV's pattern was learned (Rublee et al., ICCV 2011) and
+# vocabularies are trained on it. OpenCV does not export the table, but its answers give it away: on white noise the
+# bit that compares the blurred patch at p and q is the sign of a linear function of the patch, and least squares finds
+# the two places where that function is not zero. This takes a fifth of a second, once a process.
+
+
+REACH_PX = 13
+"""No comparison reaches further than this from the keypoint, along x or y."""
+_WIDTH = 2 * REACH_PX + 1
+_TILE_PX = 64
+_TILES = 48
+_RIDGE = 20.0
+_AGREEMENT = 0.97
+"""Not 1: OpenCV's blur inside ORB and its public one differ by a rounding now and then."""
+
+
+@lru_cache(maxsize=1)
+def orb_pattern() -> I32:
+    """Return the comparisons (256, 4) int32 as x0 y0 x1 y1 [px]: the bit is set when blurred(p0) < blurred(p1).
+
+    Raises:
+        AssertionError: OpenCV's descriptor is no longer a set of pairwise comparisons.
+    """
+    patches, bits = _answers_on_noise()
+    centred = patches - patches.mean(axis=0)
+    # The ridge is a tenth of the blurred noise's variance: less of it amplifies what the blur took away.
+    gram = centred.T @ centred / len(centred) + _RIDGE * np.eye(centred.shape[1])
+    weights = np.linalg.solve(gram, centred.T @ (2.0 * bits - 1.0) / len(centred))
+    pairs = np.stack((weights.argmin(axis=0), weights.argmax(axis=0)), axis=1)
+    for bit, pair in enumerate(pairs):
+        pairs[bit] = _sharpened(pair, patches, bits[:, bit].astype(np.bool_))
+    pattern = np.concatenate(
+        [np.stack((place % _WIDTH, place // _WIDTH), axis=1) - REACH_PX for place in pairs.T], axis=1
+    )
+    return np.ascontiguousarray(pattern, dtype=np.int32)
+
+
+def _sharpened(pair: I64, patches: F64, answers: Bool) -> I64:
+    """Return the two places (2,), moved by a pixel where that explains the answers (M,) better."""
+    best, agreement = pair, _agreement(pair, patches, answers)
+    if agreement < _AGREEMENT:
+        steps = [dx + _WIDTH * dy for dx in (-1, 0, 1) for dy in (-1, 0, 1)]
+        candidates = np.clip([pair + np.array((a, b)) for a in steps for b in steps], 0, _WIDTH**2 - 1)
+        best = max(candidates, key=lambda candidate: _agreement(candidate, patches, answers))
+        agreement = _agreement(best, patches, answers)
+    assert agreement >= _AGREEMENT, f"OpenCV's ORB is not the one we know: a bit agrees in {agreement:.1%} only"
+    return best
+
+
+def _agreement(pair: I64, patches: F64, answers: Bool) -> float:
+    return float(np.mean((patches[:, pair[0]] < patches[:, pair[1]]) == answers))
+
+
+def _answers_on_noise() -> tuple[F64, U8]:
+    """Return blurred noise patches (M, 27²) and OpenCV's descriptor bits on them (M, 256)."""
+    noise = np.random.default_rng(0).integers(0, 256, (_TILES * _TILE_PX,) * 2, dtype=np.uint8)
+    middles = np.arange(_TILES) * _TILE_PX + _TILE_PX // 2
+    keypoints = [cv2.KeyPoint(float(x), float(y), 31.0, 0.0, 1.0, 0) for y in middles for x in middles]
+    # One level and a level-0 octave: OpenCV describes the image itself, unscaled and unrotated.
+    orb = cv2.ORB.create(nfeatures=len(keypoints), nlevels=1)
+    kept, descriptors = orb.compute(noise, keypoints)
+    assert len(kept) == len(keypoints)
+    blurred = cv2.GaussianBlur(noise, (7, 7), 2, sigmaY=2, borderType=cv2.BORDER_REFLECT_101)
+    reach = np.arange(-REACH_PX, REACH_PX + 1)
+    row = (middles[:, None, None, None] + reach[None, None, :, None]).astype(np.intp)
+    column = (middles[None, :, None, None] + reach[None, None, None, :]).astype(np.intp)
+    patches = blurred[row, column].reshape(len(keypoints), -1).astype(np.float64)
+    return patches, np.unpackbits(np.asarray(descriptors), axis=1, bitorder="little")
 
 
 @dataclass(frozen=True)

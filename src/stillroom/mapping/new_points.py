@@ -8,8 +8,7 @@ from stillroom.features.matching import Targets, search_epipolar
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64, I32, I64, Bool
 from stillroom.geometry.camera import Camera
-from stillroom.geometry.epipolar import fundamental_from_motion
-from stillroom.geometry.triangulate import ray_cosines, triangulate
+from stillroom.geometry.epipolar import fundamental_from_motion, ray_cosines, triangulate
 
 MIN_NEAREST = 100
 """A keyframe makes at least this many points from depth, however far (ORB-SLAM2)."""

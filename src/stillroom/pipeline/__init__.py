@@ -1,8 +1,7 @@
 """A run from input to results folder, and the evaluation of what lies there. `run` is a table of contents."""
 
 from stillroom.pipeline.evaluating import Judged, evaluate_files, evaluate_folder
-from stillroom.pipeline.options import RunOptions, Source
-from stillroom.pipeline.outcome import RunOutcome
+from stillroom.pipeline.options import RunOptions, RunOutcome, Source
 from stillroom.pipeline.progress import SILENT, Progress
 from stillroom.pipeline.run import run
 

@@ -8,8 +8,8 @@ from stillroom.data.trajectory import Trajectory, read_tum
 from stillroom.errors import StillroomError, TrajectoryError
 from stillroom.evaluation.report import Evaluation, evaluate
 from stillroom.pipeline import results
-from stillroom.pipeline.folders import results_folder
 from stillroom.pipeline.plots import draw_plots
+from stillroom.pipeline.results import results_folder
 
 log = logging.getLogger(__name__)
 

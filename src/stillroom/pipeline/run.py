@@ -13,11 +13,10 @@ from stillroom.data.result import FrameResult, Tracked
 from stillroom.data.semantics import Semantics
 from stillroom.errors import ConfigError, FrameError
 from stillroom.evaluation.timing import FRAME, StageClock
-from stillroom.pipeline import folders, results
+from stillroom.pipeline import results
 from stillroom.pipeline.evaluating import evaluate_trajectory
-from stillroom.pipeline.maps.use import OpenedMap, opened_map
-from stillroom.pipeline.options import RunOptions
-from stillroom.pipeline.outcome import RunOutcome
+from stillroom.pipeline.maps import OpenedMap, opened_map
+from stillroom.pipeline.options import RunOptions, RunOutcome
 from stillroom.pipeline.plots import draw_maps, draw_plots
 from stillroom.pipeline.progress import SILENT, Progress, Remarks
 from stillroom.pipeline.stop_request import StopRequest
@@ -168,9 +167,9 @@ def _conclude(outcome: RunOutcome, dataset: Dataset, with_plots: bool) -> None:
 
 def _folder(dataset: Dataset, config: SlamConfig, options: RunOptions) -> Path | None:
     if options.folder is not None:
-        return folders.chosen_folder(options.folder)
+        return results.chosen_folder(options.folder)
     if options.root is not None:
-        return folders.new_folder(options.root, config.method, dataset.name)
+        return results.new_folder(options.root, config.method, dataset.name)
     return None
 
 

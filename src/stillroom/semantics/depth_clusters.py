@@ -15,10 +15,8 @@ from stillroom.errors import ConfigError
 from stillroom.geometry.arrays import F32
 from stillroom.geometry.camera import Camera
 from stillroom.geometry.cloud.backproject import RayGrid, back_project, ray_grid
-from stillroom.geometry.cloud.foreground import claim_foregrounds
-from stillroom.geometry.cloud.labels import spread_labels
 from stillroom.geometry.cloud.planes import PlaneLimits, Planes, find_planes
-from stillroom.geometry.cloud.segments import SegmentLimits, Segments, segment
+from stillroom.geometry.cloud.segments import SegmentLimits, Segments, claim_foregrounds, segment, spread_labels
 from stillroom.protocols import Parts, Pending
 
 

@@ -10,7 +10,7 @@ from stillroom.errors import MapError
 from stillroom.storage.integrity import are_rigid, problems_of_map
 from stillroom.storage.opening import reading
 from stillroom.storage.reader import load_map
-from stillroom.storage.stored import StoredMap
+from stillroom.storage.schema import StoredMap
 
 
 def check_map(path: Path) -> list[str]:

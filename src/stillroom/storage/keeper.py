@@ -9,7 +9,7 @@ from stillroom.geometry.arrays import Bool
 from stillroom.geometry.camera import Camera
 from stillroom.protocols import Parts
 from stillroom.storage.pictures import compress
-from stillroom.storage.stored import FrameNote
+from stillroom.storage.schema import FrameNote
 from stillroom.storage.writer import MapWriter
 
 

@@ -15,8 +15,17 @@ from stillroom.geometry.camera import Camera
 from stillroom.storage.integrity import problems_of_map
 from stillroom.storage.opening import reading
 from stillroom.storage.pictures import Pictures, restore
-from stillroom.storage.schema import KEYPOINTS, OBSERVATIONS, POINT_IDS, POINTS, POSES, Packed
-from stillroom.storage.stored import FrameNote, Session, StoredMap
+from stillroom.storage.schema import (
+    KEYPOINTS,
+    OBSERVATIONS,
+    POINT_IDS,
+    POINTS,
+    POSES,
+    FrameNote,
+    Packed,
+    Session,
+    StoredMap,
+)
 
 
 def load_map(path: Path, whole: bool = True) -> StoredMap:

@@ -12,8 +12,7 @@ from stillroom.geometry.camera import Camera
 from stillroom.storage import opening
 from stillroom.storage.changes import Changes, insert
 from stillroom.storage.pictures import Pictures
-from stillroom.storage.schema import POSES
-from stillroom.storage.stored import FrameNote, Session, StoredMap
+from stillroom.storage.schema import POSES, FrameNote, Session, StoredMap
 
 
 def save_map(path: Path, stored: StoredMap) -> None:

@@ -42,7 +42,7 @@ def export_pspnet(
         stillroom export pspnet results/pspnet/checkpoint.pt --thin 0.25 --pictures person_masks --pictures empty_room
         stillroom export pspnet downloaded.pth --backbone resnet50
     """
-    from stillroom.cli.output.tables import print_lines
+    from stillroom.cli.output import print_lines
     from stillroom_train.pspnet.export.network_file import write_onnx
     from stillroom_train.pspnet.export.thin import thin
     from stillroom_train.pspnet.networks.registry import architecture

@@ -26,7 +26,7 @@ def export_yolo(
 
         stillroom export yolo my.cfg my.weights --names my.names --out my.onnx
     """
-    from stillroom.cli.output.tables import print_lines
+    from stillroom.cli.output import print_lines
     from stillroom.errors import WeightsError
     from stillroom_train.darknet.onnx_file import convert_files
 

@@ -82,7 +82,7 @@ def train_pspnet(
         stillroom train pspnet --recipe paper --backbone resnet50
         torchrun --nproc-per-node 2 -m stillroom.cli.main train pspnet
     """
-    from stillroom.cli.output.console import show_log
+    from stillroom.cli.output import show_log
     from stillroom.config import with_overrides
     from stillroom_train.pspnet.networks.registry import architecture
     from stillroom_train.pspnet.networks.torch_network import torch_or_error
@@ -126,7 +126,7 @@ def _start(start: Path | None, network: "Architecture", teacher: Path) -> "Weigh
 
 
 def _examples(sources: "Sources", teacher: Path) -> "list[Example]":
-    from stillroom.cli.output.console import say
+    from stillroom.cli.output import say
     from stillroom.data.locations import cache_folder
     from stillroom_train.pspnet.pictures.gather import gather
     from stillroom_train.pspnet.pictures.teacher import Teacher
@@ -139,7 +139,7 @@ def _examples(sources: "Sources", teacher: Path) -> "list[Example]":
 
 
 def _line(entry: Mapping[str, Any]) -> None:
-    from stillroom.cli.output.tables import print_lines
+    from stillroom.cli.output import print_lines
 
     if "held_out" in entry:
         seen = entry["held_out"]

@@ -32,8 +32,7 @@ def train_vocabulary(
     """
     from rich.progress import Progress
 
-    from stillroom.cli.output.console import STDERR, show_log
-    from stillroom.cli.output.tables import print_lines
+    from stillroom.cli.output import STDERR, print_lines, show_log
     from stillroom.cli.warmup import ensure_warm
     from stillroom.datasets.open import open_dataset
     from stillroom.errors import VocabularyError

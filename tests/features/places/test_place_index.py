@@ -7,8 +7,7 @@ import pytest
 
 from stillroom.data.map import Covisibility
 from stillroom.features.places.branch_matching import match_by_branch
-from stillroom.features.places.candidates import best_places
-from stillroom.features.places.place_index import PlaceIndex, Resemblance, score
+from stillroom.features.places.place_index import PlaceIndex, Resemblance, best_places, score
 from stillroom.features.places.vocabulary import Bag
 
 N_WORDS = 400

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from stillroom.errors import StillroomError
-from stillroom.viz.film.contact_sheet import GAP_PX, LABEL_PX, contact_sheet
-from stillroom.viz.film.video import VideoFile
+from stillroom.viz.film import GAP_PX, LABEL_PX, VideoFile, contact_sheet
 
 RED, GREEN = np.zeros((48, 64, 3), np.uint8), np.zeros((48, 64, 3), np.uint8)
 RED[..., 0], GREEN[..., 1] = 200, 200

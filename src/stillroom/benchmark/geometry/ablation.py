@@ -14,7 +14,7 @@ from stillroom.config.kinds import ChainConfig
 from stillroom.dynamics.homography.sieve import CompensatedHomographyConfig
 from stillroom.dynamics.keep_all import KeepAllConfig, KeepAllKeypointsConfig
 from stillroom.dynamics.whole_boxes import WholeBoxesConfig
-from stillroom.evaluation.report_text import percent
+from stillroom.evaluation.report import percent
 from stillroom.pipeline import SILENT, Progress
 from stillroom.protocols import Dataset
 from stillroom.semantics.depth_clusters import NoClustersConfig

@@ -8,9 +8,8 @@ from stillroom.benchmark.geometry.onlooker import Shown
 from stillroom.dynamics.homography.point_motion import DYNAMIC, UNKNOWN
 from stillroom.geometry.arrays import U8
 from stillroom.geometry.camera import Camera
-from stillroom.viz.film.contact_sheet import contact_sheet
-from stillroom.viz.geometry.ant_path import AntWalk, draw_ant_walk
-from stillroom.viz.geometry.compensation import compensated, draw_difference, draw_moving_points
+from stillroom.viz.film import contact_sheet
+from stillroom.viz.geometry import AntWalk, compensated, draw_ant_walk, draw_difference, draw_moving_points
 from stillroom.viz.png import write_png
 
 SCALE = 1.5

@@ -8,7 +8,7 @@ from stillroom.config import SlamConfig
 from stillroom.dense.nothing import NoDenseMapConfig
 from stillroom.dynamics.ants.comparison import SearchComparison, total
 from stillroom.errors import StillroomError
-from stillroom.evaluation.report_text import percent
+from stillroom.evaluation.report import percent
 from stillroom.pipeline import SILENT, Progress, RunOptions, run
 from stillroom.protocols import Dataset
 from stillroom.system import Slam

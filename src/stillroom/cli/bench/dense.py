@@ -9,7 +9,7 @@ from stillroom.benchmark.ghosts import HEADER, Ghosts, stretches
 from stillroom.benchmark.ghosts import ghosts as judged
 from stillroom.cli.arguments import Settings
 from stillroom.cli.bench.session import Bench, Camera, Out, Sequence1
-from stillroom.cli.output.tables import print_lines
+from stillroom.cli.output import print_lines
 from stillroom.config import SlamConfig
 from stillroom.methods.registry import configure
 from stillroom.pipeline import Source

@@ -14,8 +14,7 @@ from stillroom.benchmark.geometry.table import HEADER, GeometryTable, geometry_t
 from stillroom.benchmark.geometry.truth_onlooker import MovingThings
 from stillroom.cli.arguments import Settings
 from stillroom.cli.bench.session import Bench, Camera, Frames, Out, Runs, Sequences
-from stillroom.cli.output.console import say
-from stillroom.cli.output.tables import print_lines
+from stillroom.cli.output import print_lines, say
 from stillroom.config import SlamConfig
 from stillroom.datasets.open import open_dataset
 from stillroom.datasets.registry import SYNTHETIC

@@ -10,9 +10,7 @@ import typer
 
 from stillroom.benchmark.accuracy import Accuracy
 from stillroom.benchmark.trial import attempt, poses_only
-from stillroom.cli.output.console import STDERR, say, show_log
-from stillroom.cli.output.frame_bar import FrameBar
-from stillroom.cli.output.tables import print_lines, print_table
+from stillroom.cli.output import STDERR, FrameBar, print_lines, print_table, say, show_log
 from stillroom.cli.warmup import ensure_warm
 from stillroom.config import SlamConfig
 from stillroom.datasets.registry import SYNTHETIC

@@ -13,7 +13,7 @@ from stillroom.benchmark.rejection import Way, ways
 from stillroom.benchmark.speed import Speed, UnitMeter
 from stillroom.cli.arguments import Settings
 from stillroom.cli.bench.session import Bench, Camera, Frames, Methods, Out, Runs, Sequence1, Sequences
-from stillroom.cli.output.tables import print_lines
+from stillroom.cli.output import print_lines
 from stillroom.config import SlamConfig
 from stillroom.errors import ConfigError
 from stillroom.methods.registry import configure

@@ -5,9 +5,8 @@ from pathlib import Path
 
 from stillroom.data.frame import Frame
 from stillroom.data.map import Map
-from stillroom.features.places.candidates import best_places
 from stillroom.features.places.growth import GrowthConfig, grow
-from stillroom.features.places.place_index import PlaceIndex
+from stillroom.features.places.place_index import PlaceIndex, best_places
 from stillroom.features.places.vocabulary import Bag, Vocabulary, load_vocabulary
 from stillroom.geometry.arrays import I32, Bool
 from stillroom.protocols import Parts

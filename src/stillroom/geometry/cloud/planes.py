@@ -7,9 +7,19 @@ import cv2
 import numpy as np
 
 from stillroom.geometry.arrays import F32, F64, I16, I32, U16, Bool
-from stillroom.geometry.cloud.bend import N_TERMS, area_moments, parabola_sums, plane_misfits, unbend
 from stillroom.geometry.cloud.continuation import Reach, continue_planes, give_samples, planes_of_cells
-from stillroom.geometry.cloud.plane_fit import cell_misfits, cell_sums, fit, grow_regions, misfit
+from stillroom.geometry.cloud.plane_fit import (
+    N_TERMS,
+    area_moments,
+    cell_misfits,
+    cell_sums,
+    fit,
+    grow_regions,
+    misfit,
+    parabola_sums,
+    plane_misfits,
+    unbend,
+)
 
 NO_PLANE = -1
 MERGE = 1.5  # times the misfit of one region: two of them on a wall that the camera bends

@@ -1,6 +1,7 @@
 """The clusters of a cloud whose boxes' foregrounds are clustered apart from the rest."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -8,8 +9,160 @@ from numba import njit
 from stillroom.geometry.arrays import F32, F64, I16, I32, I64, Bool, Floats
 from stillroom.geometry.cloud.backproject import RayGrid
 from stillroom.geometry.cloud.euclidean import depth_scaled, euclidean_clusters
-from stillroom.geometry.cloud.foreground import NO_BOX
 from stillroom.geometry.cloud.voxels import voxel_filter
+
+# From labels of a cloud's points to a label image on all pixels.
+
+
+def spread_labels(
+    labels: I16, points_m: F32, depth_m: F32, grid: RayGrid, step_m: float, step_share: float, unknown: int
+) -> I16:
+    """Give every pixel the label of the sample around it that is nearest in depth.
+
+    This is OC-SLAM's Eq. 5 (whose print lacks the division by z) read backwards: a point of an organised cloud knows
+    the pixel that it came from, so nothing is projected, no cluster gets holes, and edges follow the depth image.
+
+    Args:
+        labels: Labels of the samples (h, w).
+        points_m: Their points (h, w, 3) [m]; z = 0 where unknown.
+        depth_m: Depth image (H, W) [m].
+        grid: The samples' pixels.
+        step_m, step_share: A pixel further in depth from all four samples around it than max(step_m, step_share · z),
+            z being the depth of the farthest of them, belongs to none [m].
+        unknown: Label of such pixels, and of those without depth.
+
+    Returns:
+        Labels (H, W) int16.
+    """
+    image = np.full(depth_m.shape, unknown, dtype=np.int16)
+    if labels.size:
+        z = np.ascontiguousarray(points_m[..., 2])
+        samples = Samples(labels, z, grid.rows, grid.columns)
+        spread_into(samples, depth_m, np.float32(step_m), np.float32(step_share), np.int16(unknown), image)
+    return image
+
+
+class Samples(NamedTuple):
+    """Labels and depths of samples (h, w), and the pixel rows (h,) and columns (w,) that they were taken at."""
+
+    labels: I16
+    z: F32
+    rows: I32
+    columns: I32
+
+
+@njit(nogil=True, cache=True)
+def spread_into(samples: Samples, depth_m: F32, step_m: float, step_share: float, unknown: int, image: I16) -> None:
+    """Fill the label image (H, W); see `spread_labels`."""
+    labels, z, rows, columns = samples
+    last_i, last_j = len(rows) - 1, len(columns) - 1
+    height, width = image.shape
+    for i0 in range(last_i + 1):
+        i1 = min(i0 + 1, last_i)
+        top, bottom = (0 if i0 == 0 else rows[i0]), (height if i0 == last_i else rows[i1])
+        for j0 in range(last_j + 1):
+            j1 = min(j0 + 1, last_j)
+            left, right = (0 if j0 == 0 else columns[j0]), (width if j0 == last_j else columns[j1])
+            z0, z1, z2, z3 = z[i0, j0], z[i0, j1], z[i1, j0], z[i1, j1]
+            if z0 <= 0.0 and z1 <= 0.0 and z2 <= 0.0 and z3 <= 0.0:
+                continue
+            a0, a1, a2, a3 = labels[i0, j0], labels[i0, j1], labels[i1, j0], labels[i1, j1]
+            nearest, farthest = min(z0, z1, z2, z3), max(z0, z1, z2, z3)
+            step = max(step_m, step_share * farthest)
+            if a0 == a1 == a2 == a3 and nearest > 0.0 and farthest - nearest <= step:
+                # One surface: what lies between the samples in depth is within the step of one of them.
+                low, high = max(nearest - step, np.float32(0.0)), farthest + step
+                for r in range(top, bottom):
+                    for c in range(left, right):
+                        image[r, c] = a0 if low < depth_m[r, c] <= high else unknown
+                continue
+            for r in range(top, bottom):
+                for c in range(left, right):
+                    depth = depth_m[r, c]
+                    # An unknown sample's depth of 0 is as far from the pixel's as the pixel is from the camera.
+                    best, label = abs(z0 - depth), a0
+                    if abs(z1 - depth) < best:
+                        best, label = abs(z1 - depth), a1
+                    if abs(z2 - depth) < best:
+                        best, label = abs(z2 - depth), a2
+                    if abs(z3 - depth) < best:
+                        best, label = abs(z3 - depth), a3
+                    if best <= step and best < depth:
+                        image[r, c] = label
+
+
+# What of a box's pixels is the thing in the box: those near the depth that most of them have.
+
+
+NO_BOX = -1
+BIN_M = 0.05
+MANY = 0.6
+
+
+def claim_foregrounds(
+    z_m: F32,
+    free: Bool,
+    rows: I32,
+    columns: I32,
+    boxes_xyxy_px: Floats,
+    half_depth_m: float,
+    min_share: float,
+) -> I16:
+    """Give the samples of each box's foreground to the box, so that they can be clustered apart from the rest.
+
+    The foreground's depth is the nearest at which a window over the depths holds many of the box's free samples. Boxes
+    claim from the nearest on, and the depth of the next is taken from what is left: of a person half behind another,
+    the rest.
+
+    Args:
+        z_m: Depths of the samples (h, w) [m].
+        free: Which of them may be claimed (h, w): known, and on no plane.
+        rows, columns: Their pixels (h,) and (w,) [px].
+        boxes_xyxy_px: Edges of the boxes (B, 4) [px].
+        half_depth_m: Half the depth that a thing in a box takes up [m].
+        min_share: A box claims nothing where its foreground has less than this share of its samples.
+
+    Returns:
+        Box of each sample (h, w) int16, −1 for none.
+    """
+    owner = np.full(z_m.shape, NO_BOX, dtype=np.int16)
+    windows = [_window(box, rows, columns) for box in boxes_xyxy_px]
+    first = [_mode(z_m[at][free[at]], half_depth_m) for at in windows]
+    # Of boxes at one depth the one with most support goes first; the other's foreground may be what is left of it.
+    for k in sorted(range(len(windows)), key=lambda k: (round(first[k][0] / half_depth_m), -first[k][1], k)):
+        at = windows[k]
+        left = free[at] & (owner[at] == NO_BOX)
+        centre_m, support = _mode(z_m[at][left], half_depth_m)
+        if support == 0 or support < min_share * left.size:
+            continue
+        owner[at][left & (np.abs(z_m[at] - centre_m) <= half_depth_m)] = k
+    return owner
+
+
+def _window(box: Floats, rows: I32, columns: I32) -> tuple[slice, slice]:
+    x0, y0, x1, y1 = box
+    top, bottom = np.searchsorted(rows, (y0, np.nextafter(y1, np.inf)))
+    left, right = np.searchsorted(columns, (x0, np.nextafter(x1, np.inf)))
+    return slice(int(top), int(bottom)), slice(int(left), int(right))
+
+
+def _mode(z_m: F32, half_depth_m: float) -> tuple[float, int]:
+    """Return the middle of the nearest depth window that holds many samples [m], and how many.
+
+    Many is `MANY` of what any window holds: people stand before furniture more often than behind it.
+    """
+    if len(z_m) == 0:
+        return 0.0, 0
+    counts = np.bincount((z_m / BIN_M).astype(np.int64))
+    width = max(1, round(2.0 * half_depth_m / BIN_M))
+    held = np.convolve(counts, np.ones(width, dtype=np.int64))
+    last = int(np.argmax(held >= MANY * held.max()))
+    # From where it starts to hold many on to where it holds most.
+    while last + 1 < len(held) and held[last + 1] > held[last]:
+        last += 1
+    inside = np.sort(z_m[(z_m >= (last - width + 1) * BIN_M) & (z_m < (last + 1) * BIN_M)])
+    return float(inside[len(inside) // 2]) if len(inside) else 0.0, int(held[last])
+
 
 NO_SEGMENT = -1
 

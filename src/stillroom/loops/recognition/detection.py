@@ -5,8 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stillroom.data.map import Map
-from stillroom.features.places.candidates import best_places
-from stillroom.features.places.place_index import Resemblance
+from stillroom.features.places.place_index import Resemblance, best_places
 from stillroom.features.places.place_memory import PlaceMemory
 from stillroom.loops.recognition.consistency import ConsistentGroups
 from stillroom.protocols import Parts

@@ -15,8 +15,7 @@ from stillroom.geometry.arrays import U8
 from stillroom.geometry.camera import Camera
 from stillroom.pipeline.inpainting.truth import PaintedError
 from stillroom.system import Slam
-from stillroom.viz.film.contact_sheet import contact_sheet
-from stillroom.viz.film.video import VideoFile
+from stillroom.viz.film import VideoFile, contact_sheet
 from stillroom.viz.png import write_png
 
 IMAGES = "inpainted"

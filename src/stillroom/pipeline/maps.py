@@ -7,7 +7,9 @@ from enum import StrEnum
 from pathlib import Path
 
 from stillroom.config import SlamConfig, to_toml
+from stillroom.data.cloud.dense_cloud import DenseCloud
 from stillroom.data.map import Map
+from stillroom.dense.dense_mapper import DenseMapperConfig
 from stillroom.dense.nothing import NoDenseMapConfig
 from stillroom.errors import MapError
 from stillroom.features.places.vocabulary import load_vocabulary
@@ -16,9 +18,11 @@ from stillroom.pipeline.provenance import provenance
 from stillroom.protocols import Dataset, Parts
 from stillroom.storage.keeper import MapKeeper
 from stillroom.storage.opening import inspect, require_unused
-from stillroom.storage.reader import load_map
-from stillroom.storage.stored import Session, StoredMap
+from stillroom.storage.reader import keyframe_images, load_map
+from stillroom.storage.schema import Session, StoredMap
 from stillroom.storage.writer import MapWriter
+
+# What a run does with a map file: make it, go on in it, or track against it.
 
 
 class MapUse(StrEnum):
@@ -163,3 +167,28 @@ def _session(world: Map, config: SlamConfig, dataset: Dataset) -> Session:
         vocabulary_digest=load_vocabulary(vocabulary).digest,
         config=to_toml(config),
     )
+
+
+# A dense map from the images that a map file keeps of its keyframes.
+
+
+def dense_cloud(path: Path, stored: StoredMap, config: DenseMapperConfig | None = None) -> DenseCloud:
+    """Fuse the kept images under the poses that the map now gives them; what moved has no depth in them.
+
+    Args:
+        path: The map file.
+        stored: What was loaded of it.
+        config: How to fuse.
+
+    Raises:
+        MapError: The file keeps no images, or is damaged.
+    """
+    # A keyframe that is out of date is no witness here: all are fused under their last poses.
+    config = config or replace(DenseMapperConfig(), correction_m=0.0, corrections=0)
+    mapper, n_fused = config.build(Parts(stored.camera, stored.world)), 0
+    for keyframe, image in keyframe_images(path):
+        mapper.integrate(keyframe, image)
+        n_fused += 1
+    if n_fused == 0:
+        raise MapError(f"{path}: keeps no images to make a dense map of; run with --set storage.images=true")
+    return mapper.cloud()

@@ -1,1 +1,0 @@
-"""Commands that only tell what there is."""

@@ -1,1 +1,0 @@
-"""How commands speak: on stdout what was asked for, on stderr all else."""

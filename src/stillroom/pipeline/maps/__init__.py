@@ -1,1 +1,0 @@
-"""Maps on disk, as runs use them."""

@@ -1,1 +1,0 @@
-"""A map file as files for other programs."""

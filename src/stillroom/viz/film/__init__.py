@@ -1,1 +1,0 @@
-"""Many frames in one file: as a video, or side by side."""

@@ -6,7 +6,7 @@ import numpy as np
 from small_world import SmallMap, SmallWorld, pose
 
 from stillroom.data.map import Map
-from stillroom.data.map.marks import Marks
+from stillroom.data.map.map import Marks
 
 POSES = [pose(0.3 * k) for k in range(8)]
 

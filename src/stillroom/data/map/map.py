@@ -3,14 +3,142 @@
 import threading
 
 import numpy as np
+from numba import njit
 
 from stillroom.data.frame import Frame, ScaleLevels
-from stillroom.data.map import links, marks
-from stillroom.data.map.covisibility import Covisibility
+from stillroom.data.map import links
 from stillroom.data.map.tables import KeyframeTable, KeypointTable, PointTable
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F32, F64, I32, I64, Bool, Ints
 from stillroom.geometry.hamming import words
+
+# Sets of points without a pass over the whole map: what was met is marked with a number that is new each time.
+
+
+class Marks(threading.local):
+    """Marks of the calling thread, so that tracking and mapping may ask at the same time.
+
+    Clearing a flag for every point would cost more with every keyframe; a mark of yesterday is simply another number.
+    """
+
+    def __init__(self) -> None:
+        """Start without marks."""
+        self._marks: I64 = np.zeros(0, dtype=np.int64)
+        self._number = 0
+
+    def fresh(self, n_points: int) -> tuple[I64, int]:
+        """Return marks of at least so many points, and a number that none of them has."""
+        if len(self._marks) < n_points:
+            self._marks = np.zeros(2 * n_points, dtype=np.int64)
+        self._number += 1
+        return self._marks, self._number
+
+
+@njit(nogil=True, cache=True)
+def collect(keyframes: I64, first_row: I64, n_rows: I64, row_point: I32, marks: I64, number: int, found: I32) -> int:
+    """Write each point that any of the keyframes sees into `found` once, in the order met; return how many."""
+    n = 0
+    for i in range(len(keyframes)):
+        start = first_row[keyframes[i]]
+        for row in range(start, start + n_rows[keyframes[i]]):
+            point = row_point[row]
+            if point >= 0 and marks[point] != number:
+                marks[point] = number
+                found[n] = point
+                n += 1
+    return n
+
+
+@njit(nogil=True, cache=True)
+def keep_others(point_ids: I32, excluded: I32, marks: I64, number: int, kept: I32) -> int:
+    """Write the points that are not excluded (−1 is skipped) into `kept`, in order; return how many."""
+    for i in range(len(excluded)):
+        if excluded[i] >= 0:
+            marks[excluded[i]] = number
+    n = 0
+    for i in range(len(point_ids)):
+        if marks[point_ids[i]] != number:
+            kept[n] = point_ids[i]
+            n += 1
+    return n
+
+
+# Which keyframes see the same points.
+
+
+class Covisibility:
+    """A weighted graph over keyframes; the weight is the number of points that both see (ORB-SLAM2).
+
+    Attributes:
+        min_weight: Edges weaker than this are left out unless a keyframe would have none.
+        unsaved: Keyframes whose edges changed since the map was last written to disk: whoever writes it empties it.
+    """
+
+    def __init__(self, min_weight: int = 15) -> None:
+        """Start empty; edges weaker than `min_weight` are left out unless a keyframe would have none."""
+        self.min_weight = min_weight
+        self.unsaved: set[int] = set()
+        self._weights: dict[int, dict[int, int]] = {}
+        self._ordered: dict[int, list[int]] = {}
+
+    def connect(self, keyframe: int, counts: I32) -> None:
+        """Replace the edges of a keyframe.
+
+        Args:
+            keyframe: Its id.
+            counts: Points shared with each keyframe (K,); the entry of the keyframe itself is ignored.
+        """
+        self.unsaved.add(keyframe)
+        counts = counts.copy()
+        counts[keyframe] = 0
+        strong = np.flatnonzero(counts >= self.min_weight)
+        if len(strong) == 0 and counts.max(initial=0) > 0:
+            strong = np.array([int(np.argmax(counts))])
+        for other in self._weights.get(keyframe, {}):
+            self._weights[other].pop(keyframe, None)
+            self._ordered.pop(other, None)
+        self._ordered.pop(keyframe, None)
+        self._weights[keyframe] = {int(other): int(counts[other]) for other in strong}
+        for other, weight in self._weights[keyframe].items():
+            self._weights.setdefault(other, {})[keyframe] = weight
+            self._ordered.pop(other, None)
+
+    def remove(self, keyframe: int) -> None:
+        """Forget a keyframe."""
+        self.unsaved.add(keyframe)
+        self._ordered.pop(keyframe, None)
+        for other in self._weights.pop(keyframe, {}):
+            self._weights[other].pop(keyframe, None)
+            self._ordered.pop(other, None)
+
+    def neighbours(self, keyframe: int, at_most: int | None = None) -> list[int]:
+        """Return connected keyframes, strongest first; of equal ones the newest first."""
+        if keyframe not in self._ordered:
+            edges = self._weights.get(keyframe, {})
+            self._ordered[keyframe] = sorted(edges, key=lambda other: (-edges[other], -other))
+        return self._ordered[keyframe][:at_most]
+
+    def weight(self, first: int, second: int) -> int:
+        """Return how many points two keyframes share, 0 when not connected."""
+        return self._weights.get(first, {}).get(second, 0)
+
+    def edges(self) -> I32:
+        """Return all edges (E, 3) in order: the older keyframe, the newer one, the weight."""
+        found = [(a, b, weight) for a, others in self._weights.items() for b, weight in others.items() if a < b]
+        return np.array(sorted(found), dtype=np.int32).reshape(-1, 3)
+
+    def edges_of(self, keyframe: int) -> dict[int, int]:
+        """Return the weight of each edge of a keyframe, by the other keyframe."""
+        return dict(self._weights.get(keyframe, {}))
+
+    def restore(self, edges: Ints) -> None:
+        """Take the edges (E, 3) that `edges` once returned in place of those there are."""
+        self.unsaved.update(self._weights)
+        self._weights, self._ordered = {}, {}
+        for a, b, weight in edges.tolist():
+            self._weights.setdefault(a, {})[b] = weight
+            self._weights.setdefault(b, {})[a] = weight
+        self.unsaved.update(self._weights)
 
 
 class Map:
@@ -37,7 +165,7 @@ class Map:
         self.jumps: list[F64] = []
         self.loop_edges: list[tuple[int, int]] = []
         self._n_submaps = 0
-        self._marks = marks.Marks()
+        self._marks = Marks()
 
     # Keyframes
 
@@ -117,13 +245,13 @@ class Map:
         table, ids = self.keyframes, np.asarray(keyframes, dtype=np.int64)
         found = np.empty(int(table.n_rows[ids].sum()), dtype=np.int32)
         scratch = self._marks.fresh(len(self.points))
-        n = marks.collect(ids, table.first_row, table.n_rows, self.keypoints.point, *scratch, found)
+        n = collect(ids, table.first_row, table.n_rows, self.keypoints.point, *scratch, found)
         return np.sort(found[:n])
 
     def without(self, point_ids: I32, excluded: I32) -> I32:
         """Return those of points (P,) that are not among others (Q,), of which −1 is skipped, in their order."""
         kept = np.empty(len(point_ids), dtype=np.int32)
-        n = marks.keep_others(point_ids, excluded, *self._marks.fresh(len(self.points)), kept)
+        n = keep_others(point_ids, excluded, *self._marks.fresh(len(self.points)), kept)
         return kept[:n]
 
     def alive_keyframes(self) -> I64:

@@ -13,6 +13,7 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 
+from stillroom.data.map import Map
 from stillroom.datasets.open import open_dataset
 from stillroom.features.matching import Queries, Targets, match_anywhere, search_windows
 from stillroom.features.orb import OrbConfig
@@ -20,6 +21,7 @@ from stillroom.geometry import se3
 from stillroom.geometry.camera import Camera
 from stillroom.optimize.bundle import BundleAdjuster, BundleConfig, BundleProblem
 from stillroom.optimize.pose import PoseOptimizer
+from stillroom.protocols import Parts
 
 CAMERA = Camera(640, 480, 542.8, 541.1, 315.6, 237.8)
 ROUNDS = 20
@@ -98,7 +100,7 @@ def main() -> None:
     cv2.setNumThreads(1)
     dataset = open_dataset(parser.parse_args().sequence)
     images = [dataset.load(int(index)) for index in np.linspace(0, len(dataset) - 1, ROUNDS)]
-    orb, extractor = cv2.ORB_create(1000), OrbConfig().build(dataset.camera)
+    orb, extractor = cv2.ORB_create(1000), OrbConfig().build(Parts(dataset.camera, Map(OrbConfig().scales)))
     to_the_end = BundleConfig(min_relative_decrease=0.0)
     size = f"{FREE} + {FIXED} keyframes, {POINTS} points, {OBSERVATIONS} observations"
     work: dict[str, Callable[[int], Callable[[], object]]] = {

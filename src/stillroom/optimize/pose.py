@@ -138,6 +138,42 @@ def damped_step(H: F64, b: F64, damping: float, T: F64, T_trial: F64) -> float:
     return norm
 
 
+@numba.njit(nogil=True, cache=True)
+def minimize_pose(
+    T_start: F64, seen: Seen, is_active: Bool, iterations: int, deltas2: tuple[float, float]
+) -> tuple[F64, bool]:
+    """Run Levenberg–Marquardt on the active observations; return the pose (4, 4) and whether it converged.
+
+    Args:
+        T_start: Where to start, T_cam_world (4, 4).
+        seen: The observations.
+        is_active: Which of them count (N,).
+        iterations: At most so many steps are tried.
+        deltas2: Huber's squared thresholds, without and with a right coordinate.
+    """
+    H, b, H_trial, b_trial = np.empty((6, 6)), np.empty(6), np.empty((6, 6)), np.empty(6)
+    T, T_trial = T_start, np.empty((4, 4))
+    damping = _FIRST_DAMPING
+    cost = linearize_pose(T, seen, is_active, deltas2, H, b)
+    for _ in range(iterations):
+        step = damped_step(H, b, damping, T, T_trial)
+        if 0.0 <= step < _TINY_STEP:
+            return T, True
+        trial_cost = np.inf
+        if step >= 0.0:
+            trial_cost = linearize_pose(T_trial, seen, is_active, deltas2, H_trial, b_trial)
+        if not trial_cost <= cost:
+            damping *= 10.0
+            continue
+        decrease = cost - trial_cost
+        T, T_trial = T_trial, np.empty((4, 4))
+        H, H_trial, b, b_trial, cost = H_trial, H, b_trial, b, trial_cost
+        damping *= 0.1
+        if decrease <= _TINY_DECREASE * cost:
+            return T, True
+    return T, False
+
+
 @dataclass(frozen=True)
 class PoseEstimate:
     """An optimised pose and which observations agree with it.
@@ -199,29 +235,6 @@ class _Problem:
         """Judge every observation; return how many verdicts changed."""
         return int(classify(T_cam_world, self.seen, limits, self.chi2, self.is_inlier))
 
-    def minimize(self, T_cam_world: F64, iterations: int, deltas2: tuple[float, float]) -> tuple[F64, bool]:
-        """Run Levenberg–Marquardt on the inliers; return the pose and whether it converged."""
-        H, b, H_trial, b_trial = np.empty((6, 6)), np.empty(6), np.empty((6, 6)), np.empty(6)
-        T, T_trial = T_cam_world, np.empty((4, 4))
-        damping = _FIRST_DAMPING
-        rest = self.seen, self.is_inlier, deltas2
-        cost = linearize_pose(T, *rest, H, b)
-        for _ in range(iterations):
-            step = damped_step(H, b, damping, T, T_trial)
-            if 0.0 <= step < _TINY_STEP:
-                return T, True
-            trial_cost = linearize_pose(T_trial, *rest, H_trial, b_trial) if step >= 0.0 else np.inf
-            if not trial_cost <= cost:
-                damping *= 10.0
-                continue
-            decrease = cost - trial_cost
-            T, T_trial = T_trial, np.empty((4, 4))
-            H, H_trial, b, b_trial, cost = H_trial, H, b_trial, b, trial_cost
-            damping *= 0.1
-            if decrease <= _TINY_DECREASE * cost:
-                return T, True
-        return T, False
-
 
 class PoseOptimizer:
     """Finds a camera's pose from known points, whatever share of the matches is wrong."""
@@ -268,7 +281,7 @@ class PoseOptimizer:
                 break
             robust = round_index < 3
             deltas2 = limits if robust else (np.inf, np.inf)
-            T, converged = problem.minimize(T, config.iterations, deltas2)
+            T, converged = minimize_pose(T, problem.seen, problem.is_inlier, config.iterations, deltas2)
             changed = problem.classify(T, limits)
             if converged and not changed:
                 break

@@ -33,7 +33,7 @@ from stillroom.data.question import Question
 from stillroom.data.result import FrameResult, Tracked
 from stillroom.data.semantics import Semantics
 from stillroom.data.trajectory import Trajectory
-from stillroom.geometry.arrays import F64, I64, Bool
+from stillroom.geometry.arrays import F32, F64, I64, U8, Bool
 from stillroom.geometry.camera import Camera
 
 P = ParamSpec("P")
@@ -95,6 +95,65 @@ class Dataset(Protocol):
             IndexError: There is no such image; −1 is none either.
             FrameError: This one image cannot be used; the run goes on without it.
         """
+
+
+class SceneTruth(Protocol):
+    """What a renderer knows of a frame: its exact pose (4, 4) and depth (H, W) [m], and what each pixel shows."""
+
+    @property
+    def T_world_cam(self) -> F64:
+        """Exact pose (4, 4)."""
+
+    @property
+    def depth_m(self) -> F32:
+        """Exact depth (H, W) float32 [m] at the pixel centres."""
+
+    @property
+    def instance(self) -> U8:
+        """What each pixel shows (H, W) uint8: 0 what never moves."""
+
+    @property
+    def moving(self) -> Bool:
+        """Pixels of all that moves at that moment (H, W)."""
+
+
+class SceneRemains(Protocol):
+    """What of a rendered scene is static in the end."""
+
+    @property
+    def patches_m(self) -> F64:
+        """The static surface: corner and two edges of parallelograms and triangles (Q, 9) [m, world]."""
+
+    @property
+    def is_triangle(self) -> Bool:
+        """Which of them are triangles (Q,)."""
+
+    def stays(self, instance: U8, time_s: float) -> Bool:
+        """Return which pixels (H, W) of an image taken at a moment [s] show the static part."""
+
+
+@runtime_checkable
+class KnownScene(Protocol):
+    """A data set that was rendered, and whose scene is known; see `datasets.recording.rendered`."""
+
+    def truth(self, index: int) -> SceneTruth:
+        """Return what the renderer knows of frame `index`."""
+
+    def remains(self, last: int = -1) -> SceneRemains:
+        """Return what is static in the end, when frame `last` is the last."""
+
+    def pose(self, index: int) -> F64:
+        """Return the exact `T_world_cam` (4, 4) of frame `index`."""
+
+    def handled(self, instance: U8) -> Bool:
+        """Return which pixels (H, W) show things that somebody moves, given what each shows."""
+
+    def without_people(self) -> Dataset | None:
+        """Return the same sequence without people; None where it would be another one without them."""
+
+
+class RenderedDataset(KnownScene, Dataset, Protocol):
+    """Both in one."""
 
 
 class Segmenter(Protocol):

@@ -18,12 +18,13 @@ from stillroom.cli.bench import app
 from stillroom.datasets.open import open_dataset
 from stillroom.datasets.recording import Recording
 from stillroom.datasets.selection import select
-from stillroom.datasets.synthetic import SyntheticRoom, open_synthetic
 from stillroom.dense.dense_mapper import DenseMapper, DenseMapperConfig
 from stillroom.errors import ConfigError, TrajectoryError
 from stillroom.evaluation.ghosts import CompletenessFigure, Gatherer, GhostFigure
 from stillroom.geometry import se3
 from stillroom.methods.registry import configure
+from stillroom_scenes.config import open_synthetic
+from stillroom_scenes.room import SyntheticRoom
 
 ROOM = "synthetic:walking,frames=60,fps=10"
 TRUTH = "semantics.kind=truth"

@@ -9,11 +9,12 @@ from building import parts
 from posed_keyframes import PosedKeyframes
 from true_surfaces import STILL, share_in, surface
 
-from stillroom.datasets.synthetic import SyntheticRoom, open_synthetic
 from stillroom.dense.dense_mapper import MB, DenseMapper, DenseMapperConfig
 from stillroom.dense.keyframe_cloud import SurfaceConfig
 from stillroom.evaluation.ghosts.patches import distances_to_patches_m
 from stillroom.evaluation.timing import peak_memory_mb
+from stillroom_scenes.config import open_synthetic
+from stillroom_scenes.room import SyntheticRoom
 
 DRIFT_M = 0.03
 FAR_M = 4.0

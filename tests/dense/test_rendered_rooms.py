@@ -12,9 +12,9 @@ from true_surfaces import FIGURES, REACH_M, STILL, THINGS, distances_m, share_in
 from stillroom.data.cloud.dense_cloud import DenseCloud
 from stillroom.data.image import RgbdImage
 from stillroom.datasets.open import open_dataset
-from stillroom.datasets.synthetic import FrameTruth, SyntheticRoom
 from stillroom.dense.carving import CarvingConfig
 from stillroom.dense.dense_mapper import DenseMapperConfig
+from stillroom_scenes.room import FrameTruth, SyntheticRoom
 
 STEP = 5
 FULL = DenseMapperConfig()

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from stillroom.datasets.bonn import open_bonn
-from stillroom.datasets.synthetic import FrameTruth, SyntheticRoom, open_synthetic
 from stillroom.evaluation.ghosts import (
     DepthView,
     Gatherer,
@@ -21,6 +20,8 @@ from stillroom.evaluation.ghosts import (
 )
 from stillroom.geometry.arrays import F64, Bool
 from stillroom.semantics.yolo_fastest import YoloFastestConfig
+from stillroom_scenes.config import open_synthetic
+from stillroom_scenes.room import FrameTruth, SyntheticRoom
 
 EVERY = 15
 

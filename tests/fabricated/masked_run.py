@@ -9,11 +9,12 @@ from stillroom.data.cloud.dense_cloud import DenseCloud
 from stillroom.data.result import FrameResult, Tracked
 from stillroom.data.semantics import Semantics
 from stillroom.datasets.selection import select
-from stillroom.datasets.synthetic import FrameTruth, SyntheticRoom, open_synthetic
-from stillroom.datasets.synthetic.scene.people.figures import Figure, HandledObject
 from stillroom.geometry import se3
 from stillroom.methods.registry import configure
 from stillroom.system import build
+from stillroom_scenes.config import open_synthetic
+from stillroom_scenes.room import FrameTruth, SyntheticRoom
+from stillroom_scenes.scene.people.figures import Figure, HandledObject
 
 REST_S = 3.0
 """So long after it was let go a thing may still be taken for a moving one."""

@@ -6,8 +6,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from stillroom.data.cloud.dense_cloud import DenseCloud
-from stillroom.datasets.synthetic import FrameTruth, SyntheticRoom
 from stillroom.geometry import se3
+from stillroom_scenes.room import FrameTruth, SyntheticRoom
 
 REACH_M = 4.9
 STILL, FIGURES, THINGS = range(1), range(1, 101), range(101, 120)

@@ -11,7 +11,6 @@ from stillroom.data.cloud.clusters import PLANE, UNKNOWN, Clusters
 from stillroom.data.image import RgbdImage
 from stillroom.data.semantics import Box, Semantics, nothing
 from stillroom.datasets.open import open_dataset
-from stillroom.datasets.synthetic.config import open_synthetic
 from stillroom.errors import ConfigError
 from stillroom.geometry.arrays import Bool
 from stillroom.geometry.camera import Camera
@@ -20,6 +19,7 @@ from stillroom.geometry.cloud.segments import SegmentLimits
 from stillroom.schedule import Done
 from stillroom.semantics.depth_clusters import DepthClusterer, DepthClustersConfig, NoClustersConfig
 from stillroom.semantics.yolo_fastest import YoloFastestConfig
+from stillroom_scenes.config import open_synthetic
 
 CAMERA = Camera(640, 480, 540.0, 540.0, 320.0, 240.0)
 

@@ -11,12 +11,11 @@ from stillroom.benchmark.map_figures import HEADER, MapFigures
 from stillroom.benchmark.map_judges import RealJudge, TruthJudge
 from stillroom.config import SlamConfig
 from stillroom.datasets.selection import parse_range, select
-from stillroom.datasets.synthetic import SyntheticRoom
 from stillroom.dense.dense_mapper import DenseMapperConfig
 from stillroom.errors import ConfigError
 from stillroom.evaluation.report import percent
 from stillroom.pipeline import SILENT, Progress
-from stillroom.protocols import Dataset
+from stillroom.protocols import Dataset, KnownScene
 from stillroom.viz.cloud.pair import draw_dense_pair
 
 __all__ = ["HEADER", "Ghosts", "Stretches", "ghosts", "stretches"]
@@ -112,7 +111,7 @@ def ghosts(dataset: Dataset, name: str, config: SlamConfig, chosen: Stretches, p
     if chosen.reference is not None:
         judge = RealJudge(dataset, made.T_world_cam, chosen.reference, chosen.mapped)
     else:
-        assert isinstance(dataset, SyntheticRoom)
+        assert isinstance(dataset, KnownScene)
         judge = TruthJudge(dataset, made.T_world_cam, chosen.mapped)
     maps = tuple(judge.judge(which, cloud.positions_m) for which, cloud in made.clouds.items())
     coverage = len(made.T_world_cam) / made.n_given
@@ -135,7 +134,7 @@ def stretches(dataset: Dataset, reference: str | None = None, mapped: str | None
     Raises:
         ConfigError: A range is malformed, empty or in steps, or the two overlap.
     """
-    if reference is None and isinstance(dataset, SyntheticRoom):
+    if reference is None and isinstance(dataset, KnownScene):
         return Stretches(None, _range("map", mapped or ":", len(dataset)))
     empty = _range("reference", reference or REFERENCE, len(dataset))
     chosen = _range("map", mapped or f"{empty.stop}:", len(dataset))

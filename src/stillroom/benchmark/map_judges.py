@@ -3,7 +3,6 @@
 import numpy as np
 
 from stillroom.benchmark.map_figures import MapFigures
-from stillroom.datasets.synthetic import SyntheticRoom
 from stillroom.errors import FrameError, TrajectoryError
 from stillroom.evaluation.ghosts import (
     DepthView,
@@ -21,7 +20,7 @@ from stillroom.evaluation.report import percent
 from stillroom.geometry import se3
 from stillroom.geometry.align import align_poses
 from stillroom.geometry.arrays import F64, Floats
-from stillroom.protocols import Dataset
+from stillroom.protocols import Dataset, RenderedDataset
 
 REFERENCE_VIEWS, MAPPED_VIEWS = 40, 80
 """So many images of each stretch are asked, evenly spread."""
@@ -81,7 +80,7 @@ class RealJudge:
 class TruthJudge:
     """Holds maps of a rendered sequence against the renderer's truth."""
 
-    def __init__(self, room: SyntheticRoom, poses: dict[int, F64], mapped: range) -> None:
+    def __init__(self, room: RenderedDataset, poses: dict[int, F64], mapped: range) -> None:
         """Render the truth.
 
         Args:
@@ -116,7 +115,7 @@ class TruthJudge:
         ]
 
 
-def true_scene(room: SyntheticRoom, mapped: range) -> TrueScene:
+def true_scene(room: RenderedDataset, mapped: range) -> TrueScene:
     """Gather what the renderer knows of the static surface and of what moved before it, over some of the images."""
     remains = room.remains(mapped[-1])
     static, movers = Gatherer(room.camera), Gatherer(room.camera)

@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from stillroom.system import Slam
 
 INTERRUPTED = 130
-SYNTHETIC = "synthetic"
 MAP_EVERY = 30
 
 
@@ -68,6 +67,7 @@ def inpaint(
 def _paint(chosen: "SlamConfig", source: "Source", wanted: "InpaintingRecorderConfig", out: Path | None) -> None:
     from stillroom.cli.output import STDERR, RunBar, say, show_log
     from stillroom.cli.warmup import ensure_warm
+    from stillroom.datasets.recording import rendered
     from stillroom.pipeline import RunOptions, run
     from stillroom.pipeline.results import chosen_folder, new_folder
     from stillroom.system import segmenter_of
@@ -77,11 +77,11 @@ def _paint(chosen: "SlamConfig", source: "Source", wanted: "InpaintingRecorderCo
     segmenter = segmenter_of(chosen, dataset.camera)  # now: what is absent is told before kernels are compiled
     folder = chosen_folder(out) if out is not None else new_folder(Path("results"), chosen.method, dataset.name)
     say(f"{chosen.method} on {dataset.name}: {len(dataset)} images; camera: {dataset.camera_source}")
-    ensure_warm(STDERR, source.sequence.startswith(SYNTHETIC))
+    ensure_warm(STDERR, rendered(dataset) is not None)
     made: list[InpaintingRecorder] = []
 
     def observe(slam: "Slam") -> "InpaintingRecorder":
-        made.append(_recorder(wanted, folder, dataset, slam, source.sequence))
+        made.append(_recorder(wanted, folder, dataset, slam))
         return made[0]
 
     options = RunOptions(folder=folder, pictures=0, segmenter=segmenter, observe=observe, source=source)
@@ -96,7 +96,7 @@ def _paint(chosen: "SlamConfig", source: "Source", wanted: "InpaintingRecorderCo
 
 
 def _recorder(
-    wanted: "InpaintingRecorderConfig", folder: Path, dataset: "Dataset", slam: "Slam", sequence: str
+    wanted: "InpaintingRecorderConfig", folder: Path, dataset: "Dataset", slam: "Slam"
 ) -> "InpaintingRecorder":
     """Return a recorder with frames for its sheet from all over the sequence, at the pace of its images."""
     import numpy as np
@@ -107,7 +107,7 @@ def _recorder(
     places = (np.arange(wanted.on_sheet) + 0.9) * len(numbers) / max(1, wanted.on_sheet)
     chosen = [int(number) for number in numbers[np.unique(places.astype(np.int64))]]
     pace_hz = 1.0 / float(np.median(np.diff(stamps_s))) if len(stamps_s) > 1 else 30.0
-    return wanted.build(folder, dataset.camera, slam, chosen, pace_hz, painted_error(sequence))
+    return wanted.build(folder, dataset.camera, slam, chosen, pace_hz, painted_error(dataset))
 
 
 def _report(outcome: "RunOutcome", recorder: "InpaintingRecorder") -> None:

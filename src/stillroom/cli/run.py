@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from stillroom.pipeline.maps import MapFile
 
 INTERRUPTED = 130
-SYNTHETIC = "synthetic"
 
 
 Map = Annotated[
@@ -108,6 +107,7 @@ def _track(
 ) -> None:
     from stillroom.cli.output import STDERR, RunBar, say, show_log
     from stillroom.cli.warmup import ensure_warm
+    from stillroom.datasets.recording import rendered
     from stillroom.pipeline import RunOptions
     from stillroom.pipeline import run as run_pipeline
     from stillroom.pipeline.options import detector_ranges
@@ -126,7 +126,7 @@ def _track(
         map=map_file,
     )
     say(f"{chosen.method} on {dataset.name}: {len(dataset)} images; camera: {dataset.camera_source}")
-    ensure_warm(STDERR, source.sequence.startswith(SYNTHETIC))
+    ensure_warm(STDERR, rendered(dataset) is not None)
     outcome = run_pipeline(dataset, chosen, options, RunBar(STDERR))
     _report(outcome)
     if outcome.interrupted:

@@ -1,12 +1,14 @@
 """What a data set is made from: the defaults of a whole recording, and a data set that shows another one."""
 
+from typing import cast
+
 import numpy as np
 
 from stillroom.data.image import RgbdImage
 from stillroom.data.trajectory import Trajectory
 from stillroom.geometry.arrays import F64, I64
 from stillroom.geometry.camera import Camera
-from stillroom.protocols import Dataset
+from stillroom.protocols import Dataset, KnownScene, RenderedDataset
 
 
 class Recording:
@@ -47,12 +49,24 @@ class Recording:
         return len(self.timestamps_s)
 
 
+def rendered(dataset: Dataset) -> RenderedDataset | None:
+    """Return the rendered sequence that a data set is or shows a part of; None where it is none."""
+    while isinstance(dataset, View):
+        dataset = dataset.inner
+    return cast(RenderedDataset, dataset) if isinstance(dataset, KnownScene) else None
+
+
 class View:
     """Base of a `Dataset` that shows another one: it says what the other says, but for what a subclass overrides."""
 
     def __init__(self, inner: Dataset) -> None:
         """Show `inner`."""
         self._inner = inner
+
+    @property
+    def inner(self) -> Dataset:
+        """The data set that is shown."""
+        return self._inner
 
     @property
     def name(self) -> str:

@@ -4,41 +4,22 @@ A package adds a kind by an entry point of the group `stillroom.datasets` that n
 
     [project.entry-points."stillroom.datasets"]
     my-format = "my_package.my_format:KIND"
+
+So does `stillroom_scenes`, in this very distribution, with its rendered rooms.
 """
 
 from stillroom.datasets import bonn, folder
-from stillroom.datasets.kind import Asked, DatasetKind
-from stillroom.errors import ConfigError
+from stillroom.datasets.kind import DatasetKind
 from stillroom.plugins import PluginGroup
-from stillroom.protocols import Dataset
 
-__all__ = ["LAST", "OWN", "SYNTHETIC", "DatasetKind", "all_kinds"]
+__all__ = ["LAST", "OWN", "DatasetKind", "all_kinds"]
 
-SYNTHETIC = "synthetic"
 PLUGINS: PluginGroup[DatasetKind] = PluginGroup(
     "stillroom.datasets", "kind of data set", "a DatasetKind", lambda offered: isinstance(offered, DatasetKind)
 )
 
 
-def _open_synthetic(asked: Asked, camera: str | None, fps: float | None) -> Dataset:
-    if camera is not None or fps is not None:
-        raise ConfigError(
-            f"{asked.text}: a rendered sequence brings its own camera and times; leave camera and fps out"
-        )
-    from stillroom.datasets.synthetic import open_synthetic
-
-    return open_synthetic(asked.text)
-
-
-OWN = (
-    DatasetKind(
-        SYNTHETIC,
-        "a room with people, rendered: synthetic:walking,frames=300",
-        lambda asked: asked.prefix == SYNTHETIC,
-        _open_synthetic,
-    ),
-    bonn.KIND,
-)
+OWN = (bonn.KIND,)
 LAST = folder.KIND
 """Asked after all others: a folder with `rgb/` may well be of a more special kind."""
 

@@ -59,13 +59,15 @@ def _stamp(renderer: bool) -> Path | None:
         return None
     digest = hashlib.sha256()
     root = Path(__file__).parents[1]
-    for path in sorted(root.rglob("*.py")):
-        digest.update(f"{path.relative_to(root)}\n".encode() + path.read_bytes())
+    for package in PACKAGES:
+        for path in sorted((root.parent / package).rglob("*.py")):
+            digest.update(f"{path.relative_to(root.parent)}\n".encode() + path.read_bytes())
     digest.update(f"{root} {numba.__version__} {platform.python_version()} {llvm.get_host_cpu_name()}".encode())
     return folder / f"warm-{digest.hexdigest()[:24]}{'-renderer' if renderer else ''}"
 
 
-PACKAGE = "stillroom"
+PACKAGES = "stillroom", "stillroom_scenes"
+"""Whose kernels are counted: the core's, and the renderer's where a room is rendered."""
 
 
 class WarmUpProgress(Protocol):
@@ -113,14 +115,14 @@ def kernels() -> dict[str, Any]:
     """Return the kernels of all modules that are loaded, by `module.name` without the package's."""
     found: dict[str, Any] = {}
     for name, module in list(sys.modules.items()):
-        if name.partition(".")[0] == PACKAGE:
+        if name.partition(".")[0] in PACKAGES:
             own = (value for value in vars(module).values() if isinstance(value, CPUDispatcher))
             found |= {_name(kernel): kernel for kernel in own}
     return found
 
 
 def _name(kernel: Any) -> str:
-    return f"{kernel.py_func.__module__}.{kernel.py_func.__name__}".removeprefix(f"{PACKAGE}.")
+    return f"{kernel.py_func.__module__}.{kernel.py_func.__name__}".removeprefix("stillroom.")
 
 
 @contextmanager

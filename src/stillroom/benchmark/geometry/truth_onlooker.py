@@ -7,9 +7,8 @@ import numpy as np
 
 from stillroom.data.result import FrameResult, Tracked
 from stillroom.data.semantics import Semantics
-from stillroom.datasets.synthetic import SyntheticRoom
-from stillroom.datasets.synthetic.scene.people.figures import FIRST_OBJECT
 from stillroom.geometry.arrays import Bool
+from stillroom.protocols import RenderedDataset
 
 CLEAR_PX = 6
 """Keypoints this near to something that moves count neither as moving nor as static."""
@@ -36,7 +35,7 @@ class Count:
 class MovingThings:
     """What moves in a rendered sequence, rendered once for all runs on it."""
 
-    def __init__(self, room: SyntheticRoom) -> None:
+    def __init__(self, room: RenderedDataset) -> None:
         """Take the sequence, whole."""
         self._room = room
         self._packed: dict[int, tuple[bytes, bytes]] = {}
@@ -46,7 +45,7 @@ class MovingThings:
         """Return the pixels (H, W) of all that moves in an image, and of handled objects that do."""
         if index not in self._packed:
             truth = self._room.truth(index)
-            handled = truth.moving & (truth.instance >= FIRST_OBJECT)
+            handled = truth.moving & self._room.handled(truth.instance)
             self._packed[index] = np.packbits(truth.moving).tobytes(), np.packbits(handled).tobytes()
         moving, handled = (self._unpacked(packed) for packed in self._packed[index])
         return moving, handled

@@ -16,9 +16,7 @@ from stillroom.cli.arguments import Settings
 from stillroom.cli.bench.session import Bench, Camera, Frames, Out, Runs, Sequences
 from stillroom.cli.output import print_lines, say
 from stillroom.config import SlamConfig
-from stillroom.datasets.open import open_dataset
-from stillroom.datasets.registry import SYNTHETIC
-from stillroom.datasets.synthetic import SyntheticRoom
+from stillroom.datasets.recording import rendered
 from stillroom.errors import ConfigError
 from stillroom.methods.registry import configure
 from stillroom.pipeline import Source
@@ -102,8 +100,8 @@ def ablation(
     bench = Bench("ablation", out)
     for sequence in sequences:
         dataset = bench.open(Source(sequence, camera, frames=frames))
-        whole = open_dataset(sequence) if sequence.startswith(SYNTHETIC) else None
-        things = MovingThings(whole) if isinstance(whole, SyntheticRoom) else None
+        room = rendered(dataset)
+        things = None if room is None else MovingThings(room)
         table = bench.each(configs, _ablating(bench, dataset, runs, things))
         if table:
             bench.print_table(dataset.name, combining.HEADER, [one.row() for one in table])

@@ -13,7 +13,7 @@ from stillroom.benchmark.trial import attempt, poses_only
 from stillroom.cli.output import STDERR, FrameBar, print_lines, print_table, say, show_log
 from stillroom.cli.warmup import ensure_warm
 from stillroom.config import SlamConfig
-from stillroom.datasets.registry import SYNTHETIC
+from stillroom.datasets.recording import rendered
 from stillroom.errors import StillroomError
 from stillroom.pipeline import Source
 from stillroom.pipeline.provenance import provenance
@@ -53,7 +53,7 @@ class Bench:
     def open(self, source: Source) -> Dataset:
         """Open a sequence and see to it that the kernels are compiled."""
         dataset = source.open()
-        ensure_warm(STDERR, source.sequence.startswith(SYNTHETIC))
+        ensure_warm(STDERR, rendered(dataset) is not None)
         return dataset
 
     def each(self, configs: dict[str, SlamConfig], measure: Callable[[str, SlamConfig], R]) -> list[R]:

@@ -1,17 +1,15 @@
 """How near a painted sequence comes to the same rendered room without people."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from stillroom.datasets.synthetic.config import PREFIX, parse_spec
+from stillroom.datasets.recording import rendered
 from stillroom.geometry.arrays import U8, Bool
 from stillroom.protocols import Dataset
 
 EVERY = 5
 """Every so many-th frame is judged: the empty room must be rendered for it."""
-ONLY_PEOPLE = ("walking", "standing")
-"""Figures without which the room is the same; what is carried or pushed must be somewhere."""
 BRIGHTEST = 255.0
 
 
@@ -48,11 +46,8 @@ class PaintedError:
         return float(10.0 * np.log10(BRIGHTEST**2 / mean)) if mean > 0 else float("inf")
 
 
-def painted_error(sequence: str) -> PaintedError | None:
+def painted_error(dataset: Dataset) -> PaintedError | None:
     """Return what judges a painted sequence; None where nobody knows what is behind the people."""
-    if sequence.split(":", 1)[0] != PREFIX:
-        return None
-    config = parse_spec(sequence)
-    if config.figures not in ONLY_PEOPLE:
-        return None
-    return PaintedError(replace(config, name="", figures="none").build())
+    room = rendered(dataset)
+    empty = None if room is None else room.without_people()
+    return None if empty is None else PaintedError(empty)

@@ -1,0 +1,197 @@
+"""What can be chosen of a synthetic sequence, and how it is written on one line."""
+
+import difflib
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+from stillroom.errors import ConfigError, DatasetError
+from stillroom_scenes import PREFIX
+from stillroom_scenes.camera_path import PATHS
+from stillroom_scenes.render import World
+from stillroom_scenes.room import SyntheticRoom
+from stillroom_scenes.scene.layout import ROOMS
+from stillroom_scenes.scene.people.choreography import FIGURES
+from stillroom_scenes.worlds.corridor import corridor
+from stillroom_scenes.worlds.rooms import MOST_ROOMS, building
+from stillroom_scenes.worlds.single import single_room
+
+KEYS = {"frames": "n_frames"}  # short names in a spec; the others are the fields'
+WAYS = {"corridor": "round", "building": "tour"}  # the only path there
+WALKERS = ("none", "walking")  # the only figures there
+ONLY_PEOPLE = ("walking", "standing")
+"""Figures without which the room is the same; what is carried or pushed must be somewhere."""
+
+
+@dataclass(frozen=True)
+class SyntheticConfig:
+    """A synthetic sequence.
+
+    Attributes:
+        name: Called so in results; "" makes a name from the choices.
+        n_frames: How many frames.
+        fps: Frames per second [1/s].
+        seed: Chooses textures, clothes, speeds, phases and noise.
+        path: How the camera goes: still, sway, rpy, halfsphere, loop; it ends where it started. In the corridor: round
+            (once and a quarter further, where the frames are enough; for few frames the ring is smaller). In the
+            building: tour (in and out of each room in order, back, and again, as long as there are frames).
+        figures: Who is there: none, walking, standing (5 s, then walking), carried (a box), pushed (a chair). In the
+            corridor and the building: none, walking.
+        room: office, workshop, library; corridor (a ring), building (rooms on both sides of a corridor).
+        rooms: How many rooms the building has.
+        alike: Whether these look alike but for a tenth; else each looks different.
+        noise: Whether the sensor has noise, steps, holes and a range; without, depth is exact to 0.2 mm.
+        cache: Whether frames are kept in the user's cache folder.
+    """
+
+    name: str = ""
+    n_frames: int = 270
+    fps: float = 30.0
+    seed: int = 0
+    path: str = "sway"
+    figures: str = "walking"
+    room: str = "office"
+    rooms: int = 10
+    alike: bool = True
+    noise: bool = True
+    cache: bool = True
+
+    def build(self) -> SyntheticRoom:
+        """Return the sequence.
+
+        Raises:
+            ConfigError: A value is impossible.
+        """
+        for key, choices in self._choices():
+            if getattr(self, key) not in choices:
+                raise ConfigError(f"synthetic: {key} is '{getattr(self, key)}'; {_advice(getattr(self, key), choices)}")
+        if self.n_frames < 1:
+            raise ConfigError(f"synthetic: frames is {self.n_frames}; a sequence has at least 1")
+        if not (math.isfinite(self.fps) and self.fps > 0):
+            raise ConfigError(f"synthetic: fps is {self.fps}; it must be above 0")
+        if self.seed < 0:
+            raise ConfigError(f"synthetic: seed is {self.seed}; it must be 0 or more")
+        if not 1 <= self.rooms <= MOST_ROOMS:
+            raise ConfigError(f"synthetic: rooms is {self.rooms}; a building has 1 to {MOST_ROOMS}")
+        if "/" in self.name:
+            raise ConfigError(f"synthetic: name is '{self.name}'; it must not have a slash")
+        name = self.name or self._own_name()
+        # The name and the cache do not change what a frame looks like.
+        looks = repr(replace(self, name="", cache=True)) if self.cache else None
+        room = SyntheticRoom(name, self._world(), self.n_frames, self.fps, self.seed, self.noise, looks)
+        if self.figures in ONLY_PEOPLE:
+            room.empty = replace(self, name="", figures="none").build
+        return room
+
+    def _choices(self) -> tuple[tuple[str, Iterable[str]], ...]:
+        """Return what each key may be."""
+        rooms = ("room", (*ROOMS, *WAYS))
+        if self.room in WAYS:
+            return rooms, ("path", (WAYS[self.room],)), ("figures", WALKERS)
+        return rooms, ("path", PATHS), ("figures", FIGURES)
+
+    def _world(self) -> World:
+        if self.room == "corridor":
+            return corridor(self.n_frames, self.fps, self.figures, self.seed)
+        if self.room == "building":
+            return building(self.rooms, self.alike, self.figures, self.seed)
+        return single_room(self.room, self.path, self.figures, self.seed, self.n_frames / self.fps)
+
+    def _own_name(self) -> str:
+        rate = "" if self.fps == 30.0 else f"_{self.fps:g}fps"
+        exact = "" if self.noise else "_exact"
+        place = self.room
+        if self.room == "building":
+            place = f"building_{self.rooms}_{'alike' if self.alike else 'different'}"
+        return f"synthetic_{self.figures}_{self.path}_{place}_{self.n_frames}{rate}_seed{self.seed}{exact}"
+
+
+PRESETS = {
+    "walking": SyntheticConfig(),
+    "standing": SyntheticConfig(figures="standing", n_frames=360),
+    "carried": SyntheticConfig(figures="carried", n_frames=420),
+    "pushed": SyntheticConfig(figures="pushed", n_frames=420),
+    "empty": SyntheticConfig(figures="none"),
+    "loop": SyntheticConfig(figures="none", path="loop", n_frames=720),
+    "corridor": SyntheticConfig(room="corridor", path="round", n_frames=1500),
+    "building": SyntheticConfig(room="building", path="tour", figures="none", n_frames=2700),
+    "rooms": SyntheticConfig(room="building", path="tour", rooms=6, alike=False, n_frames=10_000),
+}
+
+
+def open_synthetic(spec: str) -> SyntheticRoom:
+    """Open a rendered sequence from one line: `synthetic:walking,frames=300,seed=3,path=loop`.
+
+    Args:
+        spec: `synthetic:` and a preset, `key=value` pairs, or both, with commas between.
+
+    Raises:
+        DatasetError: There is no such preset.
+        ConfigError: A key or value is wrong; the message names the nearest.
+    """
+    return parse_spec(spec).build()
+
+
+def parse_spec(spec: str) -> SyntheticConfig:
+    """Return what a one-line spec asks for; errors as `open_synthetic`."""
+    words = [word.strip() for word in spec.removeprefix(f"{PREFIX}:").removeprefix(PREFIX).split(",")]
+    config = PRESETS["walking"]
+    if words and "=" not in words[0] and words[0]:
+        if words[0] not in PRESETS:
+            raise DatasetError(f"{spec}: no synthetic sequence '{words[0]}'; {_advice(words[0], PRESETS)}")
+        config = PRESETS[words[0]]
+        words = words[1:]
+    for word in filter(None, words):
+        key, equals, value = (part.strip() for part in word.partition("="))
+        if not equals:
+            raise ConfigError(f"{spec}: '{word}' is not of the form key=value")
+        config = _with(config, spec, key, value)
+    return config
+
+
+def _with(config: SyntheticConfig, spec: str, key: str, value: str) -> SyntheticConfig:
+    types = {field.name: str(field.type) for field in fields(SyntheticConfig)}
+    short = {field: name for name, field in KEYS.items()}
+    names = [short.get(name, name) for name in types]
+    field = KEYS.get(key, key)
+    if key not in names and field not in types:
+        raise ConfigError(f"{spec}: unknown key '{key}'; {_advice(key, names)}")
+    choice: dict[str, Any] = {field: _value(types[field], spec, key, value)}
+    return replace(config, **choice)
+
+
+def _value(kind: str, spec: str, key: str, text: str) -> bool | int | float | str:
+    if "bool" in kind:
+        words = {
+            "true": True,
+            "on": True,
+            "yes": True,
+            "1": True,
+            "false": False,
+            "off": False,
+            "no": False,
+            "0": False,
+        }
+        if text.lower() not in words:
+            raise ConfigError(f"{spec}: {key} is '{text}'; it must be on or off")
+        return words[text.lower()]
+    try:
+        if "int" in kind:
+            return int(text)
+        if "float" in kind:
+            return float(text)
+    except ValueError:
+        raise ConfigError(f"{spec}: {key} is '{text}'; it must be {_kind_of(kind)}") from None
+    return text
+
+
+def _kind_of(kind: str) -> str:
+    return "a whole number" if "int" in kind else "a number"
+
+
+def _advice(word: str, choices: Iterable[str]) -> str:
+    known = list(choices)
+    near = difflib.get_close_matches(word, known, 1, 0.5)
+    listed = ", ".join(known)
+    return f"did you mean '{near[0]}'? (there are {listed})" if near else f"there are {listed}"

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import stillroom
+import stillroom_scenes
 from stillroom.config import SlamConfig
 from stillroom.datasets.open import open_dataset
 from stillroom.datasets.selection import select
@@ -75,8 +76,9 @@ def called_by(kernel: Any, known: dict[str, Any]) -> set[str]:
 
 def main() -> None:
     warm_up(renderer=True)
-    for module in pkgutil.walk_packages(stillroom.__path__, "stillroom."):
-        importlib.import_module(module.name)
+    for package in (stillroom, stillroom_scenes):
+        for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
+            importlib.import_module(module.name)
     known = kernels()
     before = {name: set(kernel.signatures) for name, kernel in known.items()}
     not_ready = cold(known)

@@ -23,11 +23,12 @@ print(sum(kernel.stats.cache_hits.values()), sum(kernel.stats.cache_misses.value
 """
 COLD = """
 import importlib, pkgutil
-import stillroom
+import stillroom, stillroom_scenes
 from stillroom.warmup import kernels, warm_up
 done = warm_up(renderer=True)
-for module in pkgutil.walk_packages(stillroom.__path__, "stillroom."):
-    importlib.import_module(module.name)
+for package in (stillroom, stillroom_scenes):
+    for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
+        importlib.import_module(module.name)
 inlined = {name for name, kernel in kernels().items() if kernel.targetoptions.get("inline") == "always"}
 never = {name for name, kernel in kernels().items() if not kernel.signatures} - inlined
 print(done.n_compiled, len(kernels()) - len(inlined | never), *sorted(never))

@@ -35,6 +35,7 @@ def train_vocabulary(
     from stillroom.cli.output import STDERR, print_lines, show_log
     from stillroom.cli.warmup import ensure_warm
     from stillroom.datasets.open import open_dataset
+    from stillroom.datasets.recording import rendered
     from stillroom.errors import VocabularyError
     from stillroom.features.places.growth import GrowthConfig
     from stillroom.features.places.vocabulary import load_vocabulary
@@ -45,7 +46,7 @@ def train_vocabulary(
         raise VocabularyError(f"{out}: no such folder; make {out.absolute().parent} first")
     start = None if grow is None else load_vocabulary(grow)
     datasets = [open_dataset(sequence) for sequence in sequences]
-    ensure_warm(STDERR, any(sequence.startswith("synthetic") for sequence in sequences))
+    ensure_warm(STDERR, any(rendered(dataset) is not None for dataset in datasets))
     with Progress(console=STDERR, disable=not STDERR.is_terminal) as bar:
         task = bar.add_task("reading", total=sum(-(-len(dataset) // every) for dataset in datasets))
         sources = [read_source(dataset, every, told=lambda: bar.advance(task)) for dataset in datasets]

@@ -1,16 +1,20 @@
 """The PSNR of painted pixels."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from stillroom.datasets.open import open_dataset
+from stillroom.datasets.selection import select
 from stillroom.pipeline.inpainting.truth import painted_error
+from stillroom.testing.tiny_sequence import write_tiny_sequence
 
 ROOM = "synthetic:walking,frames=12"
 
 
 def test_it_is_that_of_the_painted_pixels_of_every_fifth_frame() -> None:
-    error, empty = painted_error(ROOM), open_dataset("synthetic:empty,frames=12")
+    error, empty = painted_error(open_dataset(ROOM)), open_dataset("synthetic:empty,frames=12")
     assert error is not None
     assert error.psnr_db is None
     rng = np.random.default_rng(0)
@@ -30,7 +34,7 @@ def test_it_is_that_of_the_painted_pixels_of_every_fifth_frame() -> None:
 
 
 def test_without_error_it_is_infinite_and_empty_frames_do_not_count() -> None:
-    error = painted_error(ROOM)
+    error = painted_error(select(open_dataset(ROOM), "3:9"))
     assert error is not None
     image = error.empty.load(5).rgb
     error.add(5, image, np.zeros(image.shape[:2], dtype=bool))
@@ -39,6 +43,11 @@ def test_without_error_it_is_infinite_and_empty_frames_do_not_count() -> None:
     assert error.psnr_db == np.inf
 
 
-@pytest.mark.parametrize("sequence", ["synthetic:carried", "synthetic:pushed", "synthetic:empty", "some/folder"])
-def test_where_the_truth_is_not_known_nothing_is_judged(sequence: str) -> None:
-    assert painted_error(sequence) is None
+@pytest.mark.parametrize("sequence", ["synthetic:carried", "synthetic:pushed", "synthetic:empty"])
+def test_where_the_room_without_people_is_another_or_the_same_nothing_is_judged(sequence: str) -> None:
+    assert painted_error(open_dataset(sequence)) is None
+
+
+def test_where_the_truth_is_not_known_nothing_is_judged(tmp_path: Path) -> None:
+    write_tiny_sequence(tmp_path)
+    assert painted_error(open_dataset(str(tmp_path))) is None

@@ -2,6 +2,7 @@
 
 import dataclasses
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import pytest
 
@@ -99,6 +100,14 @@ def test_every_bounded_setting_of_every_preset_is_refused_by_its_dotted_name(con
             text = ",".join([f"{float(wrong)!r}" if isinstance(value[0], float) else str(wrong)] * len(value))
         with pytest.raises(ConfigError, match=rf"^'{name}' is "):
             with_overrides(config, [f"{name}={text}"])
+
+
+def test_what_a_file_says_may_be_sound_with_the_command_line_only(tmp_path: Path) -> None:
+    file = tmp_path / "far.toml"
+    file.write_text("[features]\nmin_depth_m = 25.0\n")
+    assert configure("orb-slam2", file, ["features.max_depth_m=30"]).features.max_depth_m == 30.0
+    with pytest.raises(ConfigError, match=r"^'features\.max_depth_m' is 20\.0; it must be above min_depth_m, 25$"):
+        configure("orb-slam2", file)
 
 
 def test_a_config_made_in_python_is_checked_when_it_is_built() -> None:

@@ -90,12 +90,13 @@ def bounded(
     return field(default=default, metadata={BOUNDS: Bounds(least, above, most, below, tuple(one_of))})
 
 
-def check(config: Any, name: str = "") -> None:
+def check(config: Any, name: str = "", relations: bool = True) -> None:
     """Make sure that a config, and those in it, are within their bounds.
 
     Args:
         config: A dataclass.
         name: What its section is called, with dots; "" for a whole tree.
+        relations: Whether settings must not contradict each other; not yet, where more settings may still come.
 
     Raises:
         ConfigError: A setting is not; the message has its dotted name.
@@ -104,10 +105,10 @@ def check(config: Any, name: str = "") -> None:
         value = getattr(config, one.name)
         dotted = f"{name}.{one.name}" if name else one.name
         if dataclasses.is_dataclass(value) and not isinstance(value, type):
-            check(value, dotted)
+            check(value, dotted, relations)
         elif BOUNDS in one.metadata:
             _refuse(dotted, value, one.metadata[BOUNDS].problem(value))
-    if isinstance(config, Contradictory) and (found := config.contradiction()) is not None:
+    if relations and isinstance(config, Contradictory) and (found := config.contradiction()) is not None:
         key, words = found
         _refuse(f"{name}.{key}" if name else key, getattr(config, key), words)
 

@@ -100,7 +100,7 @@ def updated(config: C, values: Mapping[str, Any], source: str = "") -> C:
     """
     try:
         changed: C = _updated(config, values, ())
-        check(changed)
+        check(changed, relations=False)  # a file and the command line may be sound together only
         return changed
     except ConfigError as error:
         if not source:

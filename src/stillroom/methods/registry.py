@@ -11,6 +11,7 @@ from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
 
+from stillroom.bounds import check
 from stillroom.config import SlamConfig, read_toml, updated, with_overrides
 from stillroom.errors import ConfigError
 from stillroom.methods import dynaslam, dynaslam_g, dynaslam_n, oc_slam, orb_slam2, pspnet_slam
@@ -84,4 +85,5 @@ def configure(
         config = replace(config, seed=seed)
     if config.seed < 0:
         raise ConfigError(f"seed is {config.seed}; it must be 0 or more")
+    check(config)
     return config

@@ -55,7 +55,7 @@ class Witnesses:
         """Start without any; keep at most `most`."""
         self.most = most
         self._size_px = camera.width, camera.height
-        self._lens = lens_of(camera)
+        self._lens = camera.lens
         self._all: list[Witness] = []
         self._T_cam_world = np.zeros((most + 1, 4, 4))
 
@@ -103,8 +103,3 @@ class Witnesses:
             pose = world.keyframe_pose(self._all[i].keyframe) @ self._all[i].T_keyframe_cam
             self._T_cam_world[i] = se3.inverse(pose)
         return [(self._T_cam_world[i].copy(), self._all[i].depth) for i in able]
-
-
-def lens_of(camera: Camera) -> F64:
-    """Return fx fy cx cy k1 k2 p1 p2 k3 (9,)."""
-    return np.array([camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion], dtype=np.float64)

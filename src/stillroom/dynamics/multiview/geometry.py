@@ -14,6 +14,7 @@ from stillroom.dynamics.multiview.kernels import (
     UNSEEN,
     Growth,
     Here,
+    Judged,
     Limits,
     Points,
     There,
@@ -159,7 +160,7 @@ class Geometry:
         n, camera = len(views.seen_in), frame.camera
         points = Points(views.points_cam_m, views.seen_in, np.empty((n, 2), dtype=np.int32), np.empty(n))
         depth_m = np.ascontiguousarray(frame.image.depth_m, dtype=np.float32)
-        here = Here(depth_m, rays_of(camera), T_world_cam, lens_of(camera))
+        here = Here(depth_m, rays_of(camera), T_world_cam, camera.lens)
         centres_m = self._centres_m(views, T_world_cam)
         there = There(views.depth_m, views.T_cam_world, T_cam_world @ views.T_world_cam, centres_m)
         project(points, there, here.lens, frame.image.height, frame.image.width)
@@ -171,7 +172,7 @@ class Geometry:
         """Test chosen points (M,); return their verdicts (M,) and note them in it."""
         q = seen
         limits = self._limits._replace(patch_px=self.config.patch_px + round(q.displaced_px))
-        judge_points(chosen, q.points, q.here, q.there, self._window, limits, q.verdict, q.before_px)
+        judge_points(chosen, q.points, q.here, q.there, self._window, limits, Judged(q.verdict, q.before_px))
         verdicts: U8 = q.verdict[chosen]
         return verdicts
 
@@ -213,11 +214,6 @@ def offsets(reach_px: int) -> I32:
     row, column = np.mgrid[-reach_px : reach_px + 1, -reach_px : reach_px + 1]
     every = np.stack((column.ravel(), row.ravel()), axis=1)
     return np.asarray(every[np.argsort((every**2).sum(axis=1), kind="stable")], dtype=np.int32)
-
-
-def lens_of(camera: Camera) -> F64:
-    """Return fx fy cx cy k1 k2 p1 p2 k3 (9,)."""
-    return np.array([camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion], dtype=np.float64)
 
 
 @lru_cache(maxsize=4)

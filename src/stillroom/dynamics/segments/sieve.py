@@ -13,7 +13,7 @@ from stillroom.dynamics.asking import ImageMemory
 from stillroom.dynamics.clusters.belief import Belief
 from stillroom.dynamics.clusters.pixels import MOVES, STAYS, MovingPixels
 from stillroom.dynamics.clusters.samples import Sampler
-from stillroom.dynamics.depth_history import STRIDE, ask
+from stillroom.dynamics.depth_history import STRIDE, SmallView, ask
 from stillroom.dynamics.homography.past import EarlierImage, Past, view_of
 from stillroom.dynamics.homography.point_motion import DYNAMIC, STATIC, UNKNOWN, PointTest, PointTestConfig, View
 from stillroom.errors import ConfigError
@@ -177,17 +177,8 @@ class MovedSegments:
         agrees, empty = np.zeros((2, len(points.segment)), dtype=np.int64)
         points_world_m = se3.transform(se3.inverse(T_cam_world), camera.back_project(points.px, points.depth_m))
         small_m = np.ascontiguousarray(earlier.view.depth_m[::STRIDE, ::STRIDE])
-        lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion])
-        ask(
-            small_m,
-            earlier.T_cam_world,
-            lens,
-            points_world_m,
-            config.tolerance_m,
-            config.tolerance_share,
-            agrees,
-            empty,
-        )
+        view = SmallView(small_m, earlier.T_cam_world, camera.lens)
+        ask(view, points_world_m, config.tolerance_m, config.tolerance_share, agrees, empty)
         return np.asarray(agrees > 0)
 
     def _points_on(self, frame: Frame, clusters: Clusters) -> "_Points":

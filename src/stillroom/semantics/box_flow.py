@@ -9,6 +9,7 @@ import numpy as np
 
 from stillroom.data.image import RgbdImage
 from stillroom.geometry.arrays import F32, F64, U8, Bool, Floats
+from stillroom.geometry.pixels import values_at
 
 MAX_CORNERS = 40
 CORNER_QUALITY = 0.01
@@ -114,9 +115,9 @@ class Follower:
 
     def _stays(self, now: RgbdImage, points_px: Floats, depth_m: float) -> Bool:
         """Tell which points (N, 2) lie in the image and, where depth is known, near the depth of the box."""
-        column, row = np.rint(points_px).astype(np.int64).T
-        within = (column >= 0) & (column < now.width) & (row >= 0) & (row < now.height)
-        at = now.depth_m[np.clip(row, 0, now.height - 1), np.clip(column, 0, now.width - 1)]
+        nearest = np.rint(points_px)
+        within = np.all((nearest >= 0) & (nearest < (now.width, now.height)), axis=1)
+        at = values_at(now.depth_m, points_px)
         return np.asarray(within & ((at <= 0.0) | (depth_m == 0.0) | self._near(at, depth_m)))
 
     def _near(self, depth: F32, depth_m: float) -> Bool:

@@ -8,6 +8,7 @@ import numpy as np
 from stillroom.data.result import FrameResult, Tracked
 from stillroom.data.semantics import Semantics
 from stillroom.geometry.arrays import Bool
+from stillroom.geometry.pixels import values_at
 from stillroom.protocols import RenderedDataset
 
 CLEAR_PX = 6
@@ -78,10 +79,9 @@ class TruthOnlooker:
         moving, handled = self._things.at(frame.image.index)
         side = 2 * CLEAR_PX + 1
         clear = cv2.dilate(moving.view(np.uint8), np.ones((side, side), dtype=np.uint8)) == 0
-        column, row = np.rint(frame.keypoints.raw_px).astype(np.int64).T
         said = ~(frame.is_static & tracked.motion.is_static)
         for count, where in ((self.moving, moving), (self.handled, handled), (self.static, clear)):
-            count.add(said[where[row, column]])
+            count.add(said[values_at(where, frame.keypoints.raw_px)])
         known = frame.image.depth_m > 0
         self.handled_pixels.add(tracked.motion.moving[handled & known])
         self.static_pixels.add(tracked.motion.moving[clear & known])

@@ -15,6 +15,7 @@ from stillroom.dynamics.multiview.geometry import GeometryConfig
 from stillroom.dynamics.multiview.views import CHOICES
 from stillroom.errors import ConfigError
 from stillroom.geometry.arrays import F64, U8, Bool
+from stillroom.geometry.pixels import values_at
 from stillroom.protocols import Parts
 
 UNION, GEOMETRY_FIRST = "union", "geometry-first"
@@ -84,8 +85,7 @@ class MultiViewSieve:
         found = self._mask(question) if self.config.geometry else None
         moving = self._moving(found, question.known)
         self._judged.keep(question.frame.image, question.T_cam_world, moving)
-        column, row = np.rint(question.frame.keypoints.raw_px).astype(np.int64).T
-        return Motion(~moving[row, column], moving)
+        return Motion(~values_at(moving, question.frame.keypoints.raw_px), moving)
 
     def remember(self, frame: Frame, T_cam_world: F64, keyframe: int) -> None:
         """Note what moves in the frame; a keyframe's depth is kept."""

@@ -10,6 +10,7 @@ from stillroom.data.frame import Frame
 from stillroom.data.map import Map
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F32, F64, I64, Bool
+from stillroom.geometry.pixels import values_at
 
 STRIDE = 4
 """Every fourth pixel of a keyframe's depth image is kept."""
@@ -176,8 +177,7 @@ class KeyframeViews:
         small = frame.image.depth_m[::STRIDE, ::STRIDE].copy()
         small[moving[::STRIDE, ::STRIDE]] = 0
         kp = frame.keypoints
-        column, row = np.rint(kp.raw_px).astype(np.int64).T
-        usable = (kp.depth_m > 0) & (kp.depth_m < self.config.far_m) & ~moving[row, column]
+        usable = (kp.depth_m > 0) & (kp.depth_m < self.config.far_m) & ~values_at(moving, kp.raw_px)
         points = frame.camera.back_project(kp.px[usable], kp.depth_m[usable])
         if self.config.grid_px > 0:
             points = np.concatenate((points, self._on_a_grid(frame, small)))

@@ -19,6 +19,7 @@ from stillroom.dynamics.homography.point_motion import DYNAMIC, STATIC, UNKNOWN,
 from stillroom.errors import ConfigError
 from stillroom.geometry import homography, se3
 from stillroom.geometry.arrays import F64, I64, Bool
+from stillroom.geometry.pixels import values_at
 from stillroom.protocols import Parts
 
 NEAR = 0.02, 0.01
@@ -113,8 +114,7 @@ class MovedSegments:
         if finding is not None:
             said = np.where(finding.belief > 0, MOVES, STAYS).astype(np.uint8)
             moving = moving | self._pixels.marked(finding.clusters, said, moving)
-        column, row = np.rint(question.frame.keypoints.raw_px).astype(np.int64).T
-        return Motion(~moving[row, column], moving)
+        return Motion(~values_at(moving, question.frame.keypoints.raw_px), moving)
 
     def remember(self, frame: Frame, T_cam_world: F64, keyframe: int) -> None:
         """Take the image and what is believed of its segments into the memories."""

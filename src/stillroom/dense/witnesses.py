@@ -11,6 +11,7 @@ from stillroom.dense.voxels.evidence_kernels import count_in_view
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F32, F64, U16, Bool
 from stillroom.geometry.camera import Camera
+from stillroom.geometry.growing import Shape, element
 
 SAMPLES = 64
 LEAST_SHARE = 0.1
@@ -42,7 +43,7 @@ def small_depth(depth_m: F32, is_moving: Bool | None, stride: int) -> U16:
 
 def views_of(depth: U16) -> U16:
     """Return depth, nearest and farthest of the neighbourhood (h, w, 3); see `evidence_kernels.look`."""
-    square = np.ones((3, 3), dtype=np.uint8)
+    square = element(1, Shape.SQUARE)
     # What is unknown, 0, becomes the farthest: 0 − 1 wraps around.
     nearest = cv2.erode(depth - np.uint16(1), square) + np.uint16(1)
     return np.asarray(cv2.merge((depth, nearest, cv2.dilate(depth, square))), dtype=np.uint16)

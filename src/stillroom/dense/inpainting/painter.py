@@ -15,6 +15,7 @@ from stillroom.errors import ConfigError
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F32, F64, I64, U8, Bool
 from stillroom.geometry.camera import Camera
+from stillroom.geometry.growing import Shape, element, grown
 
 NEAR_M, FAR_M = 0.5, 10.0
 BESIDE_PX = 24
@@ -104,7 +105,7 @@ class BackgroundPainter:
 
     def remember(self, keyframe: int, image: RgbdImage, moving: Bool) -> None:
         """Keep a keyframe of the map, without what moves in it (H, W)."""
-        usable = ~widened(moving, self.config.margin_px)
+        usable = ~grown(moving, self.config.margin_px, Shape.SQUARE)
         self._seen.append(_Seen(keyframe, image.rgb, np.where(usable, image.depth_m, np.float32(0))))
 
     def paint(
@@ -119,7 +120,7 @@ class BackgroundPainter:
             world: The map, which knows where the keyframes are.
             cloud: The dense map, for what no keyframe saw.
         """
-        moving = widened(moving, self.config.margin_px)
+        moving = grown(moving, self.config.margin_px, Shape.SQUARE)
         rgb, depth_m = image.rgb.copy(), image.depth_m.copy()
         rgb[moving], depth_m[moving] = self.config.hole_grey, 0
         is_filled = np.zeros_like(moving)
@@ -191,19 +192,11 @@ class BackgroundPainter:
         return np.asarray(state == 2)
 
 
-def widened(mask: Bool, reach_px: int) -> Bool:
-    """Return a mask (H, W) grown by a square of this reach; an array of its own."""
-    if reach_px <= 0 or not mask.any():
-        return mask.copy()
-    square = np.ones((2 * reach_px + 1, 2 * reach_px + 1), dtype=np.uint8)
-    return np.asarray(cv2.dilate(mask.view(np.uint8), square)).view(np.bool_)
-
-
 def _closed(rgb: U8, holes: Bool, reach_px: int) -> U8:
     """Return an image (H, W, 3) whose narrow holes (H, W) have the colours around them."""
     if reach_px <= 0 or not holes.any():
         return rgb
-    square = np.ones((2 * reach_px + 1, 2 * reach_px + 1), dtype=np.uint8)
+    square = element(reach_px, Shape.SQUARE)
     # What lies beyond the edge of the image is no hole.
     border = cv2.BORDER_CONSTANT
     wide = cv2.morphologyEx(holes.view(np.uint8), cv2.MORPH_OPEN, square, borderType=border, borderValue=0)

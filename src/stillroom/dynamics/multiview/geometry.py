@@ -26,6 +26,7 @@ from stillroom.dynamics.multiview.views import AskedViews, KeyframesConfig, Keyf
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F32, F64, I32, I64, U8, Bool
 from stillroom.geometry.camera import Camera
+from stillroom.geometry.growing import Shape, grown
 
 __all__ = ["BORDER", "DYNAMIC", "UNSEEN", "Geometry", "GeometryConfig", "PointsInView"]
 
@@ -226,6 +227,6 @@ def rays_of(camera: Camera, stride: int = 1) -> F32:
 
 
 def _patches(seeds_px: I32, height: int, width: int, reach_px: int) -> Bool:
-    mask = np.zeros((height, width), dtype=np.uint8)
-    mask[seeds_px[:, 1], seeds_px[:, 0]] = 1
-    return cv2.dilate(mask, np.ones((2 * reach_px + 1, 2 * reach_px + 1), dtype=np.uint8)).view(np.bool_)
+    mask = np.zeros((height, width), dtype=np.bool_)
+    mask[seeds_px[:, 1], seeds_px[:, 0]] = True
+    return grown(mask, reach_px, Shape.SQUARE)

@@ -10,6 +10,7 @@ from stillroom.data.frame import Frame
 from stillroom.data.map import Map
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F32, F64, I64, Bool
+from stillroom.geometry.growing import Shape, element
 from stillroom.geometry.pixels import values_at
 
 STRIDE = 4
@@ -194,7 +195,7 @@ class KeyframeViews:
 
 def with_neighbours(depth_m: F32, reach: int = 1) -> F32:
     """Return depths (h, w), 0 where unknown, with the nearest and farthest known so many pixels around, (h, w, 3)."""
-    square = np.ones((2 * reach + 1, 2 * reach + 1), dtype=np.uint8)
+    square = element(reach, Shape.SQUARE)
     nearest = cv2.erode(np.where(depth_m > 0, depth_m, np.float32(np.inf)), square)
     nearest[np.isinf(nearest)] = 0
     return np.ascontiguousarray(np.dstack((depth_m, nearest, cv2.dilate(depth_m, square))), dtype=np.float32)

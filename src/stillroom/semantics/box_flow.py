@@ -8,15 +8,14 @@ import cv2
 import numpy as np
 
 from stillroom.data.image import RgbdImage
+from stillroom.features.optical_flow import OpticalFlow
 from stillroom.geometry.arrays import F32, F64, U8, Bool, Floats
 from stillroom.geometry.pixels import values_at
 
 MAX_CORNERS = 40
 CORNER_QUALITY = 0.01
 CORNER_DISTANCE_PX = 4  # in the halved image, in which flow is measured
-WINDOW_PX = (15, 15)
-PYRAMID_LEVELS = 2
-STOP_FLOW = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.03)
+FLOW = OpticalFlow(window_px=15, levels=2)
 MARGIN_PX = 48  # around the box, so that flow may leave it; more than a person walks in a frame
 CENTRAL_SHARE = 0.5  # the middle of a box, where its depth is read
 CENTRAL_QUANTILE = 0.35  # what stands in a box stands before its background
@@ -85,25 +84,18 @@ class Follower:
         around = _pixels(box.edges, before, MARGIN_PX)
         old, new = _half(before.gray[around]), _half(now.gray[around])
         mask = self._mask(before, box, around)
-        if min(old.shape) < WINDOW_PX[0] or not mask.any():
+        if min(old.shape) < FLOW.window_px or not mask.any():
             return None
         start: Any = cv2.goodFeaturesToTrack(old, MAX_CORNERS, CORNER_QUALITY, CORNER_DISTANCE_PX, mask=mask)
         if start is None:
             return None
-        end, found, _ = cv2.calcOpticalFlowPyrLK(
-            old,
-            new,
-            start,
-            np.empty_like(start),
-            winSize=WINDOW_PX,
-            maxLevel=PYRAMID_LEVELS,
-            criteria=STOP_FLOW,
-        )
-        arrived_px = 2.0 * end.reshape(-1, 2) + np.array([around[1].start, around[0].start])
-        good = (found.ravel() != 0) & self._stays(now, arrived_px, box.depth_m)
+        start = start[:, 0]
+        end, is_found = FLOW.follow(old, new, start)
+        arrived_px = 2.0 * end + np.array([around[1].start, around[0].start])
+        good = is_found & self._stays(now, arrived_px, box.depth_m)
         if np.count_nonzero(good) < max(self.min_points, 1):
             return None
-        return np.asarray(2.0 * np.median((end - start).reshape(-1, 2)[good], axis=0), dtype=np.float64)
+        return np.asarray(2.0 * np.median((end - start)[good], axis=0), dtype=np.float64)
 
     def _mask(self, image: RgbdImage, box: FollowedBox, around: tuple[slice, slice]) -> U8:
         """Return where in the halved surroundings of a box the thing in it is, as cv2 wants it."""

@@ -78,7 +78,7 @@ class TruthOnlooker:
         frame = tracked.frame
         moving, handled = self._things.at(frame.image.index)
         clear = ~grown(moving, CLEAR_PX, Shape.SQUARE)
-        said = ~(frame.is_static & tracked.motion.is_static)
+        said = ~tracked.is_static
         for count, where in ((self.moving, moving), (self.handled, handled), (self.static, clear)):
             count.add(said[values_at(where, frame.keypoints.raw_px)])
         known = frame.image.depth_m > 0

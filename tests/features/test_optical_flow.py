@@ -18,7 +18,7 @@ def shifted(by_px: tuple[float, float]) -> np.ndarray:
 def test_points_are_found_where_the_image_went() -> None:
     second_px, is_found = FLOW.follow(FIRST, shifted((3.0, -2.0)), POINTS_PX)
     assert is_found.all()
-    np.testing.assert_allclose(second_px, POINTS_PX + (3.0, -2.0), atol=0.1)
+    np.testing.assert_allclose(second_px, POINTS_PX + np.float32([3.0, -2.0]), atol=0.1)
 
 
 def test_a_guess_leads_farther_than_the_pyramid_reaches_and_is_not_written_to() -> None:

@@ -42,7 +42,7 @@ LEVELS = {
     "benchmark": 9,
     "cli": 10,
 }
-FREE_TO_ALL = {"errors", "__init__"}
+FREE_TO_ALL = {"bounds", "errors", "__init__"}
 FRONT_DOOR = "__init__", 2
 """The root says where numba keeps its machine code, and so may look into rooms below this level."""
 ROOT_ATTRIBUTES = {"__version__"}

@@ -4,6 +4,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from stillroom.bounds import check
 from stillroom.config import SlamConfig
 from stillroom.data.image import RgbdImage
 from stillroom.data.map import Map, submaps
@@ -198,8 +199,7 @@ def build(
         segmenter: Says what may move; the config's where not given.
         schedule: When work runs; in order where not given.
         observer: Who looks on; nobody where not given.
-        clock: Notes what the stages cost. `tracking` includes `dynamics`, the time of sieve 2;
-            what it does when the frame is done is `memory`.
+        clock: Notes what the stages cost. `tracking` includes `dynamics`, sieve 2; `memory` is what that remembers.
         world: The map of an earlier run to go on in; a new one where not given.
         keeper: Keeps the map beyond the run; nobody does where not given.
 
@@ -208,6 +208,7 @@ def build(
         WeightsError: A network's weights are absent.
         VocabularyError: The vocabulary of places cannot be read.
     """
+    check(config)
     clock = clock or StageClock()
     world = world or Map(config.features.scales)
     parts = Parts(camera, world, config.seed, clock)

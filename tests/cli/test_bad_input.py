@@ -129,7 +129,7 @@ REQUESTS: dict[str, tuple[list[str], list[str]]] = {
     "truth where there is none": (["{room}", "--set", "semantics.kind=truth"], ["carries no truth"]),
     "a value that cannot be": (
         ["{room}", "--method", "oc-slam", "--set", "semantics.confidence=1.5"],
-        ["confidence is 1.5"],
+        ["'semantics.confidence' is 1.5; it must be above 0 and at most 1"],
     ),
     "a synthetic sequence that is none": (["synthetic:moon"], ["moon"]),
 }

@@ -393,5 +393,5 @@ def test_impossible_poses_are_passed_over(where: float) -> None:
     ],
 )
 def test_impossible_values_are_named(config: DenseMapperConfig, key: str) -> None:
-    with pytest.raises(ConfigError, match=f"dense.{key} is "):
+    with pytest.raises(ConfigError, match=f"'dense.{key}' is "):
         config.build(parts(CAMERA, still(1)))

@@ -66,7 +66,7 @@ def test_without_anything_movable_the_frame_is_as_it_was() -> None:
 
 
 def test_negative_values_are_refused() -> None:
-    with pytest.raises(ConfigError, match="border_px is -1"):
+    with pytest.raises(ConfigError, match="border_px' is -1"):
         MaskedKeypointsConfig(border_px=-1).build()
 
 

@@ -135,9 +135,9 @@ def test_a_wrong_loop_is_undone_to_the_last_bit(keyframe: int, candidate: int) -
 @pytest.mark.parametrize(
     ("config", "named"),
     [
-        (LoopsConfig(max_lost_share=1.5), "loops.max_lost_share is 1.5"),
-        (LoopsConfig(min_kept_share=-0.1), "loops.min_kept_share is -0.1"),
-        (LoopsConfig(detection=DetectionConfig(consistent_keyframes=0)), "loops.detection.consistent_keyframes is 0"),
+        (LoopsConfig(max_lost_share=1.5), "loops.max_lost_share' is 1.5"),
+        (LoopsConfig(min_kept_share=-0.1), "loops.min_kept_share' is -0.1"),
+        (LoopsConfig(detection=DetectionConfig(consistent_keyframes=0)), "loops.detection.consistent_keyframes' is 0"),
     ],
 )
 def test_impossible_values_are_named(config: LoopsConfig, named: str) -> None:

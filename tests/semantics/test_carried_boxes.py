@@ -239,9 +239,9 @@ def test_boxes_grow_on_request_and_stay_in_the_image():
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        ({"min_iou": 1.5}, "carry.min_iou is 1.5; it must be between 0 and 1"),
+        ({"min_iou": 1.5}, "carry.min_iou' is 1.5; it must be from 0 to 1"),
         ({"continue_confidence": -0.1}, "carry.continue_confidence"),
-        ({"max_carried": -1}, "carry.max_carried is -1; it must not be negative"),
+        ({"max_carried": -1}, "carry.max_carried' is -1; it must be 0 or more"),
     ],
 )
 def test_impossible_values(options, said):

@@ -137,9 +137,9 @@ def test_folders_that_cannot_serve(tmp_path):
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        ({"folder": None}, "mask_files.folder is not set"),
-        ({"missing": "ignore"}, "missing is 'ignore'; it must be 'nothing' or 'error'"),
-        ({"dilate_px": -1}, "dilate_px is -1"),
+        ({"folder": None}, "semantics.folder is not set"),
+        ({"missing": "ignore"}, "missing' is 'ignore'; it must be one of nothing, error"),
+        ({"dilate_px": -1}, "dilate_px' is -1"),
     ],
 )
 def test_impossible_values(tmp_path, options, said):

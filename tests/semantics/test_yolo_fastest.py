@@ -158,10 +158,10 @@ def test_a_damaged_file_is_one_line(tmp_path, damaged, said):
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        ({"variant": "2.0"}, r"variant is '2.0'.*1\.1, 1\.1-xl"),
-        ({"confidence": 0.0}, "confidence is 0.0"),
-        ({"confidence": 80.0}, "confidence is 80.0; it must be above 0 and at most 1"),
-        ({"nms_iou": -1.0}, "nms_iou is -1.0"),
+        ({"variant": "2.0"}, r"variant' is '2.0'.*1\.1, 1\.1-xl"),
+        ({"confidence": 0.0}, "confidence' is 0.0"),
+        ({"confidence": 80.0}, "confidence' is 80.0; it must be above 0 and at most 1"),
+        ({"nms_iou": -1.0}, "nms_iou' is -1.0"),
         ({"movable": ("person", "ghost")}, r"movable class 'ghost'.*network's: person, bicycle, .*toothbrush"),
     ],
 )

@@ -14,6 +14,7 @@ from difflib import SequenceMatcher
 from pathlib import Path
 from typing import Any, TypeVar
 
+from stillroom.bounds import check
 from stillroom.config.kinds import KIND, Kinds
 from stillroom.config.toml_text import as_toml
 from stillroom.config.values import Written, convert
@@ -99,6 +100,7 @@ def updated(config: C, values: Mapping[str, Any], source: str = "") -> C:
     """
     try:
         changed: C = _updated(config, values, ())
+        check(changed)
         return changed
     except ConfigError as error:
         if not source:

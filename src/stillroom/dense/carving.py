@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stillroom.bounds import bounded
 from stillroom.data.image import RgbdImage
 from stillroom.data.map import Map
 from stillroom.dense.keyframe_cloud import UNIT_M, SurfaceConfig
@@ -52,14 +53,14 @@ class CarvingConfig:
     """
 
     removal: bool = True
-    radius_m: float = 0.05
-    tolerance_m: float = 0.05
-    tolerance_share: float = 0.035
-    hit: int = 2
-    lowest: int = -6
-    highest: int = 6
-    n_asked: int = 8
-    every: int = 4
+    radius_m: float = bounded(0.05, least=0)
+    tolerance_m: float = bounded(0.05, least=0)
+    tolerance_share: float = bounded(0.035, least=0)
+    hit: int = bounded(2, least=1)
+    lowest: int = bounded(-6, most=0)
+    highest: int = bounded(6, least=1)
+    n_asked: int = bounded(8, least=1)
+    every: int = bounded(4, least=1)
 
 
 class Carver:

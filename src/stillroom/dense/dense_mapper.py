@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from stillroom.bounds import bounded, check
 from stillroom.data.cloud.dense_cloud import DenseCloud
 from stillroom.data.image import RgbdImage
 from stillroom.data.map import submaps
@@ -19,7 +20,6 @@ from stillroom.dense.voxels.fusing_kernels import FULL_WEIGHT, SCORE, WEIGHT
 from stillroom.dense.voxels.hash_kernels import unpack
 from stillroom.dense.voxels.swapped_blocks import SwappedBlocks
 from stillroom.dense.voxels.voxel_map import VoxelMap
-from stillroom.errors import ConfigError
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64, I32, Bool
 from stillroom.protocols import P, Parts, T
@@ -52,40 +52,20 @@ class DenseMapperConfig:
         swap_folder: Where that file goes; None for the system's own choice. It takes about 0.4 MB for each fused image.
     """
 
-    voxel_m: float = 0.02
+    voxel_m: float = bounded(0.02, above=0)
     surface: SurfaceConfig = field(default_factory=SurfaceConfig)
     carving: CarvingConfig = field(default_factory=CarvingConfig)
-    correction_m: float = 0.01
-    corrections: int = 1
-    fuse_every: int = 8
+    correction_m: float = bounded(0.01, least=0)
+    corrections: int = bounded(1, least=0)
+    fuse_every: int = bounded(8, least=0)
     least_pixels: float = 0.0
-    layer_voxels: int = 1
-    max_memory_mb: float = 512.0
+    layer_voxels: int = bounded(1, least=0)
+    max_memory_mb: float = bounded(512.0, above=0)
     swap_folder: Path | None = None
 
     def build(self, parts: Parts) -> "DenseMapper":
-        """Return an empty dense map of the map's keyframes.
-
-        Raises:
-            ConfigError: A value is impossible.
-        """
-        surface, carving = self.surface, self.carving
-        above_0: dict[str, float] = {"voxel_m": self.voxel_m, "max_memory_mb": self.max_memory_mb}
-        above_0 |= {"surface.stride": surface.stride, "carving.every": carving.every, "carving.hit": carving.hit}
-        above_0 |= {"carving.highest": carving.highest, "carving.n_asked": carving.n_asked}
-        for key, value in above_0.items():
-            if not value > 0:
-                raise ConfigError(f"dense.{key} is {value}; it must be above 0")
-        at_least_0 = {"layer_voxels": self.layer_voxels, "corrections": self.corrections, "fuse_every": self.fuse_every}
-        for key, value in at_least_0.items():
-            if value < 0:
-                raise ConfigError(f"dense.{key} is {value}; it must be 0 or more")
-        if carving.lowest > 0:
-            raise ConfigError(f"dense.carving.lowest is {carving.lowest}; it must be 0 or less")
-        if not 0 <= surface.near_m < surface.far_m:
-            raise ConfigError(
-                f"dense.surface.far_m is {surface.far_m} and near_m {surface.near_m}; they must be a range of depths"
-            )
+        """Return an empty dense map of the map's keyframes."""
+        check(self, "dense")
         return DenseMapper(self, parts)
 
 

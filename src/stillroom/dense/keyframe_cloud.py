@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 
+from stillroom.bounds import bounded
 from stillroom.data.image import RgbdImage
 from stillroom.dense.surface_kernels import I8, find_surfaces, take_every, to_units
 from stillroom.geometry.arrays import F32, U8, U16, Bool
@@ -33,13 +34,17 @@ class SurfaceConfig:
         margin_m, margin_share: At their depth: within the larger of the first and this share of the depth.
     """
 
-    stride: int = 2
-    near_m: float = 0.3
-    far_m: float = 5.0
+    stride: int = bounded(2, least=1)
+    near_m: float = bounded(0.3, least=0)
+    far_m: float = bounded(5.0, above=0)
     least_cosine: float = 0.17
-    margin_px: int = 8
+    margin_px: int = bounded(8, least=0)
     margin_m: float = 0.1
     margin_share: float = 0.04
+
+    def contradiction(self) -> tuple[str, str] | None:
+        """Return that the nearest depth is not below the farthest."""
+        return None if self.near_m < self.far_m else ("far_m", f"it must be above near_m, {self.near_m:g}")
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from stillroom.bounds import bounded
 from stillroom.data.frame import Frame
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F32, F64, I64
@@ -29,10 +30,10 @@ class DepthHistoryConfig:
             share of the depth: Kinect noise, and the pose's.
     """
 
-    interval_s: float = 0.25
-    ages_s: tuple[float, ...] = (0.3, 0.6, 1.2, 2.4, 4.8, 9.6)
-    tolerance_m: float = 0.08
-    tolerance_share: float = 0.04
+    interval_s: float = bounded(0.25, above=0)
+    ages_s: tuple[float, ...] = bounded((0.3, 0.6, 1.2, 2.4, 4.8, 9.6), above=0)
+    tolerance_m: float = bounded(0.08, least=0)
+    tolerance_share: float = bounded(0.04, least=0)
 
 
 @dataclass(frozen=True)

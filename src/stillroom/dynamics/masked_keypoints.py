@@ -4,9 +4,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from stillroom.bounds import bounded, check
 from stillroom.data.frame import Frame
 from stillroom.data.semantics import Semantics
-from stillroom.errors import ConfigError
 from stillroom.geometry.growing import Shape, grown
 from stillroom.protocols import KeypointSieve, Parts, Pending
 
@@ -22,18 +22,12 @@ class MaskedKeypointsConfig:
             unless the mask is wrong.
     """
 
-    border_px: int = 2
-    min_keypoints: int = 20
+    border_px: int = bounded(2, least=0)
+    min_keypoints: int = bounded(20, least=0)
 
     def build(self, parts: Parts | None = None) -> KeypointSieve:
-        """Return the sieve.
-
-        Raises:
-            ConfigError: A value is negative.
-        """
-        for key in ("border_px", "min_keypoints"):
-            if getattr(self, key) < 0:
-                raise ConfigError(f"{key} is {getattr(self, key)}; it must not be negative")
+        """Return the sieve."""
+        check(self)
         return MaskedKeypoints(self)
 
 

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from numba import njit
 
+from stillroom.bounds import bounded
 from stillroom.data.frame import Frame, Keypoints, ScaleLevels
 from stillroom.data.image import RgbdImage
 from stillroom.geometry.arrays import F32, F64, I32, I64, U8, Bool, Floats
@@ -257,14 +258,19 @@ class OrbConfig:
         min_depth_m, max_depth_m: Depth outside this range counts as unknown.
     """
 
-    n_features: int = 1000
-    scale_factor: float = 1.2
-    n_levels: int = 8
-    strong_score: int = 20
-    usual_score: int = 12
-    weak_score: int = 7
-    min_depth_m: float = 0.1
-    max_depth_m: float = 20.0
+    n_features: int = bounded(1000, least=1)
+    scale_factor: float = bounded(1.2, above=1)
+    n_levels: int = bounded(8, least=1)
+    strong_score: int = bounded(20, least=0)
+    usual_score: int = bounded(12, least=0)
+    weak_score: int = bounded(7, least=0)
+    min_depth_m: float = bounded(0.1, least=0)
+    max_depth_m: float = bounded(20.0, above=0)
+
+    def contradiction(self) -> tuple[str, str] | None:
+        """Return that the nearest depth is not below the farthest."""
+        fits = self.min_depth_m < self.max_depth_m
+        return None if fits else ("max_depth_m", f"it must be above min_depth_m, {self.min_depth_m:g}")
 
     @property
     def scales(self) -> ScaleLevels:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from stillroom.bounds import bounded
 from stillroom.data.map import Map, submaps
 from stillroom.features.places.place_memory import PlaceMemory
 from stillroom.geometry import se3
@@ -34,10 +35,10 @@ class JoiningConfig:
     """
 
     enabled: bool = True
-    n_places: int = 5
+    n_places: int = bounded(5, least=1)
     verification: VerificationConfig = field(default_factory=lambda: VerificationConfig(min_total=50))
-    max_lost_share: float = 0.05
-    min_kept_share: float = 0.5
+    max_lost_share: float = bounded(0.05, least=0, most=1)
+    min_kept_share: float = bounded(0.5, least=0, most=1)
     bundle: BundleConfig = field(default_factory=BundleConfig)
 
     def build(self, parts: Parts, places: PlaceMemory, after: Sequence[Callable[[], None]] = ()) -> "SubmapJoiner":

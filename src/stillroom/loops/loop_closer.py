@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from stillroom.errors import ConfigError
+from stillroom.bounds import bounded, check
 from stillroom.features.places.place_memory import PlaceMemory
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64
@@ -60,9 +60,9 @@ class LoopsConfig:
     full_beyond_m: float = 0.05
     full_beyond_rad: float = 0.02
     essential_weight: int = 100
-    max_lost_share: float = 0.05
-    max_lost_share_of_one: float = 0.4
-    min_kept_share: float = 0.5
+    max_lost_share: float = bounded(0.05, least=0, most=1)
+    max_lost_share_of_one: float = bounded(0.4, least=0, most=1)
+    min_kept_share: float = bounded(0.5, least=0, most=1)
     abort_after: int = 3
     graph: PoseGraphConfig = field(default_factory=PoseGraphConfig)
     bundle: BundleConfig = field(default_factory=lambda: BundleConfig(first_damping=1e-8))
@@ -74,17 +74,8 @@ class LoopsConfig:
             parts: What it is built of.
             places: Knows the keyframes by their looks.
             after: Called when the map has been corrected: what must follow the keyframes to where they are now.
-
-        Raises:
-            ConfigError: A value is impossible.
         """
-        shares = {name: getattr(self, name) for name in ("max_lost_share", "max_lost_share_of_one", "min_kept_share")}
-        for name, share in shares.items():
-            if not 0.0 <= share <= 1.0:
-                raise ConfigError(f"loops.{name} is {share}; it must be a share, from 0 to 1")
-        if self.detection.consistent_keyframes < 1:
-            found = self.detection.consistent_keyframes
-            raise ConfigError(f"loops.detection.consistent_keyframes is {found}; it must be at least 1")
+        check(self, "loops")
         return LoopCloser(self, parts, places, after) if self.enabled else NoLoops()
 
 

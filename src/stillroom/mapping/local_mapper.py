@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from stillroom.bounds import bounded
 from stillroom.data.map import Map
 from stillroom.data.result import Tracked
 from stillroom.geometry.camera import Camera
@@ -33,12 +34,12 @@ class LocalMapperConfig:
             what the map does as a whole.
     """
 
-    th_depth: float = 40.0
-    n_neighbours: int = 5
-    max_bundle_keyframes: int = 20
+    th_depth: float = bounded(40.0, above=0)
+    n_neighbours: int = bounded(5, least=0)
+    max_bundle_keyframes: int = bounded(20, least=1)
     cull_keyframes: bool = True
-    max_final_keyframes: int = 200
-    max_final_keyframes_looped: int = 1000
+    max_final_keyframes: int = bounded(200, least=0)
+    max_final_keyframes_looped: int = bounded(1000, least=0)
     bundle: BundleConfig = field(default_factory=BundleConfig)
     looped_bundle: BundleConfig = field(default_factory=lambda: BundleConfig(first_damping=1e-8))
 

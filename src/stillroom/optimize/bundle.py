@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stillroom.bounds import bounded
 from stillroom.geometry.arrays import F64, Bool, Floats, Ints
 from stillroom.geometry.camera import Camera
 from stillroom.optimize.bundle_kernels import (
@@ -86,12 +87,12 @@ class BundleConfig:
             them 3 mm from the truth (random problems with 20 free keyframes).
     """
 
-    iterations_first: int = 5
-    iterations_second: int = 10
-    chi2_2d: float = 5.991
-    chi2_3d: float = 7.815
-    first_damping: float = 1e-4
-    min_relative_decrease: float = 1e-3
+    iterations_first: int = bounded(5, least=0)
+    iterations_second: int = bounded(10, least=0)
+    chi2_2d: float = bounded(5.991, above=0)
+    chi2_3d: float = bounded(7.815, above=0)
+    first_damping: float = bounded(1e-4, above=0)
+    min_relative_decrease: float = bounded(1e-3, least=0)
 
     def build(self) -> "BundleAdjuster":
         """Return the adjuster."""

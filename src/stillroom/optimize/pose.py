@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
+from stillroom.bounds import bounded
 from stillroom.geometry.arrays import F64, Bool, Floats
 from stillroom.geometry.camera import Camera
 from stillroom.optimize.projection import (
@@ -205,10 +206,10 @@ class PoseOptimizerConfig:
         chi2_3d: The same with a right coordinate: three degrees of freedom.
     """
 
-    rounds: int = 4
-    iterations: int = 10
-    chi2_2d: float = 5.991
-    chi2_3d: float = 7.815
+    rounds: int = bounded(4, least=1)
+    iterations: int = bounded(10, least=1)
+    chi2_2d: float = bounded(5.991, above=0)
+    chi2_3d: float = bounded(7.815, above=0)
 
     def build(self) -> "PoseOptimizer":
         """Return the optimiser."""

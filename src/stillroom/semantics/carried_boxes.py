@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from stillroom.bounds import bounded, check
 from stillroom.data.image import RgbdImage
 from stillroom.data.semantics import Box, Semantics
-from stillroom.errors import ConfigError
 from stillroom.geometry.arrays import F64
 from stillroom.semantics.box_flow import FollowedBox, Follower
 from stillroom.semantics.boxes import overlap
@@ -41,42 +41,21 @@ class CarryConfig:
     """
 
     enabled: bool = True
-    max_carried: int = 30
-    continue_confidence: float = 0.40
-    enter_confidence: float = 0.50
-    min_iou: float = 0.30
-    velocity_weight: float = 0.5
-    depth_range_m: float = 0.35
-    min_points: int = 6
-    min_support: float = 0.5
-    min_visible: float = 0.2
-    max_covered: float = 0.6
-    grow: float = 0.0
+    max_carried: int = bounded(30, least=0)
+    continue_confidence: float = bounded(0.40, least=0, most=1)
+    enter_confidence: float = bounded(0.50, least=0, most=1)
+    min_iou: float = bounded(0.30, least=0, most=1)
+    velocity_weight: float = bounded(0.5, least=0, most=1)
+    depth_range_m: float = bounded(0.35, least=0)
+    min_points: int = bounded(6, least=0)
+    min_support: float = bounded(0.5, least=0, most=1)
+    min_visible: float = bounded(0.2, least=0, most=1)
+    max_covered: float = bounded(0.6, least=0, most=1)
+    grow: float = bounded(0.0, least=0)
 
     def lowest(self, confidence: float) -> float:
         """Return the confidence from which the detector must report boxes, for a box to be believed at another."""
         return min(confidence, self.continue_confidence, self.enter_confidence)
-
-    def check(self) -> None:
-        """Refuse impossible values.
-
-        Raises:
-            ConfigError: Names the key.
-        """
-        for key in (
-            "continue_confidence",
-            "enter_confidence",
-            "min_iou",
-            "velocity_weight",
-            "min_support",
-            "min_visible",
-            "max_covered",
-        ):
-            if not 0.0 <= getattr(self, key) <= 1.0:
-                raise ConfigError(f"carry.{key} is {getattr(self, key)}; it must be between 0 and 1")
-        for key in ("max_carried", "depth_range_m", "min_points", "grow"):
-            if getattr(self, key) < 0:
-                raise ConfigError(f"carry.{key} is {getattr(self, key)}; it must not be negative")
 
 
 @dataclass(eq=False)
@@ -121,7 +100,7 @@ class CarriedBoxes:
             config: How boxes are carried on.
             named: The detector's classes that stand still unless somebody moves them.
         """
-        config.check()
+        check(config, "carry")
         self.detector = detector
         self._confidence = confidence
         self._enter_confidence = min(confidence, config.enter_confidence)

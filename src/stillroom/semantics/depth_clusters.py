@@ -8,10 +8,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from stillroom.bounds import bounded, check
 from stillroom.data.cloud.clusters import PLANE, UNKNOWN, Clusters
 from stillroom.data.image import RgbdImage
 from stillroom.data.semantics import Semantics, boxes_xyxy_px
-from stillroom.errors import ConfigError
 from stillroom.geometry.arrays import F32
 from stillroom.geometry.camera import Camera
 from stillroom.geometry.cloud.backproject import RayGrid, back_project, ray_grid
@@ -52,14 +52,19 @@ class DepthClustersConfig:
         segments: How the rest becomes clusters.
     """
 
-    stride: int = 4
-    min_depth_m: float = 0.2
-    max_depth_m: float = 6.0
-    box_half_depth_m: float = 0.40
-    box_min_share: float = 0.10
+    stride: int = bounded(4, least=1)
+    min_depth_m: float = bounded(0.2, least=0)
+    max_depth_m: float = bounded(6.0, above=0)
+    box_half_depth_m: float = bounded(0.40, above=0)
+    box_min_share: float = bounded(0.10, least=0, most=1)
     leave_out_masked: bool = False
     planes: PlaneLimits = field(default_factory=PlaneLimits)
     segments: SegmentLimits = field(default_factory=SegmentLimits)
+
+    def contradiction(self) -> tuple[str, str] | None:
+        """Return that the nearest depth is not below the farthest."""
+        fits = self.min_depth_m < self.max_depth_m
+        return None if fits else ("max_depth_m", f"it must be above min_depth_m, {self.min_depth_m:g}")
 
     def build(self, parts: Parts) -> "DepthClusterer":
         """Return the clusterer; it makes no random choice.
@@ -67,21 +72,7 @@ class DepthClustersConfig:
         Raises:
             ConfigError: A value is impossible.
         """
-        at_least_1 = {"stride": self.stride, "segments.min_points": self.segments.min_points}
-        at_least_1 |= {"planes.cell": self.planes.cell, "planes.window": self.planes.window}
-        for key, number in at_least_1.items():
-            if number < 1:
-                raise ConfigError(f"clusters.{key} is {number}; it must be at least 1")
-        above_0 = {"box_half_depth_m": self.box_half_depth_m, "segments.voxel_m": self.segments.voxel_m}
-        above_0 |= {"segments.tolerance_m": self.segments.tolerance_m, "planes.tolerance": self.planes.tolerance}
-        for key, value in above_0.items():
-            if not value > 0:
-                raise ConfigError(f"clusters.{key} is {value}; it must be above 0")
-        if not 0 <= self.min_depth_m < self.max_depth_m:
-            raise ConfigError(
-                f"clusters.max_depth_m is {self.max_depth_m} and min_depth_m {self.min_depth_m}; "
-                "they must be a range of depths"
-            )
+        check(self, "clusters")
         return DepthClusterer(self, parts.camera)
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from stillroom.bounds import bounded, check
 from stillroom.data.image import RgbdImage
 from stillroom.data.semantics import Box, Instance, Semantics, nothing, union_of
 from stillroom.errors import ConfigError, DatasetError
@@ -45,10 +46,10 @@ class MaskFilesConfig:
 
     folder: Path | None = None
     movable_values: tuple[int, ...] = ()
-    dilate_px: int = 0
-    missing: str = "nothing"
+    dilate_px: int = bounded(0, least=0)
+    missing: str = bounded("nothing", one_of=("nothing", "error"))
     boxes: bool = True
-    min_box_px: int = 100
+    min_box_px: int = bounded(100, least=0)
     instances: bool = False
 
     def build(self, parts: Parts | None = None) -> Segmenter:
@@ -59,11 +60,8 @@ class MaskFilesConfig:
             DatasetError: The folder does not exist, or has no masks; two masks claim one frame.
         """
         if self.folder is None:
-            raise ConfigError("mask_files.folder is not set; name the folder that holds the masks")
-        if self.missing not in {"nothing", "error"}:
-            raise ConfigError(f"mask_files.missing is '{self.missing}'; it must be 'nothing' or 'error'")
-        if self.dilate_px < 0:
-            raise ConfigError(f"mask_files.dilate_px is {self.dilate_px}; it must not be negative")
+            raise ConfigError("semantics.folder is not set; name the folder that holds the masks")
+        check(self)
         return MaskFiles(self.folder, self)
 
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 from importlib.resources import as_file, files
 from pathlib import Path
 
+from stillroom.bounds import bounded, check
 from stillroom.errors import ConfigError
 from stillroom.protocols import Parts, Segmenter
 from stillroom.semantics.carried_boxes import CarriedBoxes, CarryConfig
@@ -31,9 +32,9 @@ class YoloFastestConfig:
         carry: How boxes are carried on over the frames in which they are missed.
     """
 
-    variant: str = "1.1"
-    confidence: float = 0.80
-    nms_iou: float = 0.45
+    variant: str = bounded("1.1", one_of=tuple(SHIPPED))
+    confidence: float = bounded(0.80, above=0, most=1)
+    nms_iou: float = bounded(0.45, above=0, most=1)
     movable: tuple[str, ...] = ("person",)
     model: Path | None = None
     carry: CarryConfig = field(default_factory=CarryConfig)
@@ -52,11 +53,7 @@ class YoloFastestConfig:
 
     def build_detector(self, confidence: float) -> OnnxDetector:
         """Return the bare detector, which reports boxes from a confidence on."""
-        if self.variant not in SHIPPED:
-            raise ConfigError(f"variant is '{self.variant}'; it must be one of {', '.join(SHIPPED)}")
-        for key in ("confidence", "nms_iou"):
-            if not 0.0 < getattr(self, key) <= 1.0:
-                raise ConfigError(f"{key} is {getattr(self, key)}; it must be above 0 and at most 1")
+        check(self)
         file = self._file()
         chosen = [self._number(name, file) for name in self.movable]
         # The input is RGB in 0–255, stretched.

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stillroom.bounds import bounded
 from stillroom.data.map import Map
 from stillroom.data.result import Recovery, Tracked, TrackingState
 from stillroom.protocols import Parts
@@ -27,13 +28,13 @@ class KeyframePolicyConfig:
         enabled: Whether frames become keyframes at all; false tracks against a map that is there.
     """
 
-    min_gap: int = 3
-    quiet_after_recovery: int = 30
-    th_depth: float = 40.0
+    min_gap: int = bounded(3, least=0)
+    quiet_after_recovery: int = bounded(30, least=0)
+    th_depth: float = bounded(40.0, above=0)
     min_tracked_close: int = 100
     max_untracked_close: int = 70
-    share: float = 0.6
-    min_inliers: int = 15
+    share: float = bounded(0.6, least=0, most=1)
+    min_inliers: int = bounded(15, least=0)
     enabled: bool = True
 
     def build(self, parts: Parts | None = None) -> "KeyframePolicy":

@@ -11,6 +11,7 @@ changed; and a camera that is not found here is left to tracking proper, which l
 
 from dataclasses import dataclass, field
 
+from stillroom.bounds import bounded
 from stillroom.data.frame import Frame
 from stillroom.data.map import Map
 from stillroom.data.motion import Stage
@@ -51,8 +52,8 @@ class LowCostConfig:
         pose: How the pose is found.
     """
 
-    window_px: float = 15.0
-    min_matches: int = 20
+    window_px: float = bounded(15.0, above=0)
+    min_matches: int = bounded(20, least=0)
     pose: PoseOptimizerConfig = field(default_factory=PoseOptimizerConfig)
 
     def build(self, parts: Parts, sieve: MatchSieve) -> QuickTracking:

@@ -4,6 +4,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from stillroom.bounds import bounded
 from stillroom.data.map import Map
 from stillroom.data.result import Recovery, Tracked, TrackingState
 from stillroom.data.semantics import Semantics
@@ -28,13 +29,13 @@ class RelocalizerConfig:
         patience: Frames that show enough and are not recognised before a sub-map is begun; 0: never.
     """
 
-    n_places: int = 5
+    n_places: int = bounded(5, least=0)
     recognition: RecognitionConfig = field(default_factory=RecognitionConfig)
-    n_keyframes: int = 10
-    min_matches: int = 20
-    reprojection_px: float = 4.0
-    min_inliers: int = 15
-    patience: int = 20
+    n_keyframes: int = bounded(10, least=0)
+    min_matches: int = bounded(20, least=0)
+    reprojection_px: float = bounded(4.0, above=0)
+    min_inliers: int = bounded(15, least=0)
+    patience: int = bounded(20, least=0)
 
     def build(self, parts: Parts, tracker: Tracker, places: PlaceMemory) -> "Relocalizer":
         """Return a relocalizer that asks the memory of places and refines its finds with the tracker."""

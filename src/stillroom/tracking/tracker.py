@@ -4,6 +4,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from stillroom.bounds import bounded
 from stillroom.data.frame import Frame
 from stillroom.data.map import Map, submaps
 from stillroom.data.matches import Matches
@@ -37,14 +38,14 @@ class TrackerConfig:
             camera keeps its matches.
     """
 
-    min_initial_keypoints: int = 200
-    window_px: float = 15.0
-    min_matches: int = 20
-    min_keyframe_matches: int = 15
-    min_coarse_inliers: int = 10
-    min_inliers: int = 30
-    min_inliers_recovered: int = 50
-    local_window: float = 5.0
+    min_initial_keypoints: int = bounded(200, least=0)
+    window_px: float = bounded(15.0, above=0)
+    min_matches: int = bounded(20, least=0)
+    min_keyframe_matches: int = bounded(15, least=0)
+    min_coarse_inliers: int = bounded(10, least=0)
+    min_inliers: int = bounded(30, least=0)
+    min_inliers_recovered: int = bounded(50, least=0)
+    local_window: float = bounded(5.0, above=0)
     pose: PoseOptimizerConfig = field(default_factory=PoseOptimizerConfig)
 
     def build(self, parts: Parts, sieve: MatchSieve, quick: QuickTracking | None = None) -> "Tracker":

@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+from stillroom.bounds import bounded, check
 from stillroom.data.result import FrameResult, Tracked
 from stillroom.data.semantics import Semantics
-from stillroom.errors import ConfigError
 from stillroom.geometry.arrays import U8
 from stillroom.viz.clusters import draw_clusters, draw_detections
 from stillroom.viz.overlay import draw_verdict
@@ -27,10 +27,10 @@ class PictureRecorderConfig:
             "detections".
     """
 
-    every: int = 30
+    every: int = bounded(30, least=0)
     frames: tuple[int, ...] = ()
-    scale: float = 2.0
-    kinds: tuple[str, ...] = (VERDICT, CLUSTERS)
+    scale: float = bounded(2.0, above=0)
+    kinds: tuple[str, ...] = bounded((VERDICT, CLUSTERS), one_of=KINDS)
 
     def build(self, folder: Path) -> "PictureRecorder":
         """Return a recorder that writes into a folder.
@@ -38,13 +38,7 @@ class PictureRecorderConfig:
         Raises:
             ConfigError: A value is impossible.
         """
-        if self.every < 0:
-            raise ConfigError(f"every is {self.every}; it must be 0 (none) or more")
-        if self.scale <= 0:
-            raise ConfigError(f"scale is {self.scale}; it must be positive")
-        for kind in self.kinds:
-            if kind not in KINDS:
-                raise ConfigError(f"kinds has '{kind}' in it; there are {', '.join(KINDS)}")
+        check(self, "pictures")
         return PictureRecorder(self, folder)
 
 

@@ -153,7 +153,9 @@ def test_the_margin_goes_around() -> None:
     assert painted.is_hole.sum() == 312 * 142
 
 
-@pytest.mark.parametrize(("change", "said"), [({"keyframes": 0}, "keyframes is 0"), ({"hole_grey": 256}, "0 … 255")])
+@pytest.mark.parametrize(
+    ("change", "said"), [({"keyframes": 0}, "keyframes' is 0"), ({"hole_grey": 256}, "from 0 to 255")]
+)
 def test_impossible_values_are_named(change: dict[str, int], said: str) -> None:
     with pytest.raises(ConfigError, match=said):
         replace(InpaintingConfig(), **change).build(CAMERA)

@@ -87,5 +87,5 @@ def test_no_points_no_path(kind: str) -> None:
 
 
 def test_an_unknown_path_is_refused() -> None:
-    with pytest.raises(ConfigError, match=r"path\.kind is 'snake'.*serpentine, ants"):
+    with pytest.raises(ConfigError, match=r"path\.kind' is 'snake'.*serpentine, ants"):
         PathConfig(kind="snake").build(0)

@@ -280,5 +280,5 @@ def test_probes_are_spread_and_those_with_depth_come_first() -> None:
 
 
 def test_an_unknown_search_is_refused() -> None:
-    with pytest.raises(ConfigError, match="search is 'random'; it must be one of reverse, exhaustive"):
+    with pytest.raises(ConfigError, match="search' is 'random'; it must be one of reverse, exhaustive"):
         CompensatedHomographyConfig(search="random").build(parts())

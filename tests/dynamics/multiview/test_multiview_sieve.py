@@ -299,11 +299,11 @@ def test_a_map_that_jumps_is_no_turn_of_the_camera() -> None:
 @pytest.mark.parametrize(
     ("config", "said"),
     [
-        (MultiViewConfig(combination="both"), "combination is 'both'"),
-        (MultiViewConfig(test=replace(BY_GEOMETRY.test, growing_stride=0)), "growing_stride is 0"),
+        (MultiViewConfig(combination="both"), "combination' is 'both'"),
+        (MultiViewConfig(test=replace(BY_GEOMETRY.test, growing_stride=0)), "growing_stride' is 0"),
         (
             MultiViewConfig(test=replace(BY_GEOMETRY.test, keyframes=KeyframesConfig(choice="best"))),
-            "choice is 'best'; there are nearest, farthest, spread",
+            "choice' is 'best'; it must be one of nearest, farthest, spread",
         ),
     ],
 )

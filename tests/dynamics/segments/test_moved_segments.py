@@ -200,7 +200,7 @@ def test_a_chair_that_is_pushed_while_the_map_jumps_is_found_as_if_it_had_not() 
     ("key", "value"), [("max_points", 0), ("min_points", 0), ("share", 0.0), ("share", 1.0), ("margin_px", -1)]
 )
 def test_impossible_values_are_named(key: str, value: float) -> None:
-    with pytest.raises(ConfigError, match=f"^{key} is {value}; it must"):
+    with pytest.raises(ConfigError, match=f"^'{key}' is {value}; it must"):
         MovedSegmentsConfig(**{key: value}).build()  # type: ignore[arg-type]
 
 

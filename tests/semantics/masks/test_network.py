@@ -133,11 +133,11 @@ def two_inputs(path: Path) -> Path:
         ("movable=('persn',)", ConfigError, "'persn' is not one of the network's; did you mean 'person'"),
         ("movable=('person', 'person')", ConfigError, "comes twice"),
         ("movable=()", ConfigError, "names no class"),
-        ("every=0", ConfigError, "every is 0; it must be 1 or more"),
-        ("latency_frames=-1", ConfigError, "latency_frames is -1"),
-        ("probability=0.0", ConfigError, "probability is 0.0"),
-        ("std=(1.0, 0.0, 1.0)", ConfigError, "std is"),
-        ("scores='odds'", ConfigError, "scores is 'odds'"),
+        ("every=0", ConfigError, "every' is 0; it must be 1 or more"),
+        ("latency_frames=-1", ConfigError, "latency_frames' is -1"),
+        ("probability=0.0", ConfigError, "probability' is 0.0"),
+        ("std=(1.0, 0.0, 1.0)", ConfigError, "std' is"),
+        ("scores='odds'", ConfigError, "scores' is 'odds'"),
     ],
 )
 def test_what_does_not_fit_is_told_in_one_line(kind: str, error: type, said: str, tmp_path: Path) -> None:
@@ -159,7 +159,7 @@ def test_what_does_not_fit_is_told_in_one_line(kind: str, error: type, said: str
 def test_impossible_values_of_sections_are_refused(section: str, key: str, value: float, tmp_path: Path) -> None:
     config = red_config(save_red_network(tmp_path / "red.onnx"))
     changed = replace(config, **{section: replace(getattr(config, section), **{key: value})})
-    with pytest.raises(ConfigError, match=rf"{section}\.{key} is {value}"):
+    with pytest.raises(ConfigError, match=rf"{section}\.{key}' is {value}"):
         changed.build()
 
 

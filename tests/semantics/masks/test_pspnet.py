@@ -83,7 +83,7 @@ def test_it_plugs_in_by_name() -> None:
     [
         (PspNetConfig(input="512x512"), "640x480"),
         (PspNetConfig(movable=("persn",)), "did you mean 'person'"),
-        (PspNetConfig(every=0), "every is 0"),
+        (PspNetConfig(every=0), "every' is 0"),
     ],
 )
 def test_wrong_values_are_told(config: PspNetConfig, says: str) -> None:

@@ -10,10 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
+from stillroom.bounds import bounded, check
 from stillroom.data.cloud.dense_cloud import DenseCloud
 from stillroom.dense.export.floor import Floor, FloorConfig, find_floor
 from stillroom.dense.export.replacing import replacing
-from stillroom.errors import ConfigError, MapError
+from stillroom.errors import MapError
 from stillroom.geometry.arrays import F64, I64, U8, Bool
 from stillroom.geometry.se3 import transform
 
@@ -34,11 +35,16 @@ class OccupancyConfig:
         floor: How the floor is found.
     """
 
-    resolution_m: float = 0.05
-    obstacle_from_m: float = 0.10
-    obstacle_to_m: float = 1.80
-    min_points: int = 2
+    resolution_m: float = bounded(0.05, above=0)
+    obstacle_from_m: float = bounded(0.10, above=0)
+    obstacle_to_m: float = bounded(1.80, above=0)
+    min_points: int = bounded(2, least=1)
     floor: FloorConfig = field(default_factory=FloorConfig)
+
+    def contradiction(self) -> tuple[str, str] | None:
+        """Return that obstacles do not begin below where they end."""
+        fits = self.obstacle_from_m < self.obstacle_to_m
+        return None if fits else ("obstacle_to_m", f"it must be above obstacle_from_m, {self.obstacle_from_m:g}")
 
     def build(self) -> "FloorPlanner":
         """Return what draws floor plans so.
@@ -46,13 +52,7 @@ class OccupancyConfig:
         Raises:
             ConfigError: The values contradict each other.
         """
-        if not self.resolution_m > 0:
-            raise ConfigError(f"'occupancy.resolution_m' is {self.resolution_m}; it must be more than 0")
-        if not 0 < self.obstacle_from_m < self.obstacle_to_m:
-            raise ConfigError(
-                f"obstacles from {self.obstacle_from_m} m to {self.obstacle_to_m} m: 'occupancy.obstacle_from_m' must "
-                "be more than 0 and less than 'occupancy.obstacle_to_m'"
-            )
+        check(self, "occupancy")
         return FloorPlanner(self)
 
 

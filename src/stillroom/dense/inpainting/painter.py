@@ -6,12 +6,12 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 
+from stillroom.bounds import bounded, check
 from stillroom.data.cloud.dense_cloud import DenseCloud
 from stillroom.data.image import RgbdImage
 from stillroom.data.map import Map
 from stillroom.dense.inpainting.brightness import gains
 from stillroom.dense.inpainting.kernels import Canvas, Cubes, Paint, Surface, splat_cloud, splat_colour, splat_depth
-from stillroom.errors import ConfigError
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F32, F64, I64, U8, Bool
 from stillroom.geometry.camera import Camera
@@ -39,7 +39,7 @@ class InpaintingConfig:
         hole_grey: Brightness of the others.
     """
 
-    keyframes: int = 20
+    keyframes: int = bounded(20, least=1)
     min_depth_m: float = 0.2
     same_share: float = 0.03
     margin_px: int = 6
@@ -47,7 +47,7 @@ class InpaintingConfig:
     sharpness: float = 1.0
     match_brightness: bool = True
     close_px: int = 4
-    hole_grey: int = 0
+    hole_grey: int = bounded(0, least=0, most=255)
 
     def build(self, camera: Camera) -> "BackgroundPainter":
         """Return a painter for a camera.
@@ -55,10 +55,7 @@ class InpaintingConfig:
         Raises:
             ConfigError: A value is impossible.
         """
-        if self.keyframes < 1:
-            raise ConfigError(f"keyframes is {self.keyframes}; it must be 1 or more")
-        if not 0 <= self.hole_grey <= 255:
-            raise ConfigError(f"hole_grey is {self.hole_grey}; it must lie in 0 … 255")
+        check(self, "inpainting")
         return BackgroundPainter(self, camera)
 
 

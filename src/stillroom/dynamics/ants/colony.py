@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
+from stillroom.bounds import bounded
 from stillroom.geometry.arrays import F64, I64
 
 
@@ -25,9 +26,9 @@ class ColonyConfig:
 
     alpha: float = 1.0
     beta: float = 6.0
-    rho: float = 0.5
-    ants: int = 8
-    rounds: int = 2
+    rho: float = bounded(0.5, least=0, below=1)
+    ants: int = bounded(8, least=1)
+    rounds: int = bounded(2, least=1)
 
 
 def shortest_found(nodes_px: F64, start: int, end: int, config: ColonyConfig, draws: F64, pheromone: F64) -> I64:

@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 import numba
 import numpy as np
 
+from stillroom.bounds import bounded, check
 from stillroom.dynamics.ants.colony import ColonyConfig, shortest_found
-from stillroom.errors import ConfigError
 from stillroom.geometry.arrays import F64, I64
 
 PATHS = ("serpentine", "ants")
@@ -31,20 +31,15 @@ class PathConfig:
         colony: The ants.
     """
 
-    kind: str = "serpentine"
-    cell_px: int = 80
-    min_points: int = 5
+    kind: str = bounded("serpentine", one_of=PATHS)
+    cell_px: int = bounded(80, least=1)
+    min_points: int = bounded(5, least=1)
     shifts: bool = True
     colony: ColonyConfig = field(default_factory=ColonyConfig)
 
     def build(self, seed: int = 0) -> "PathLayer":
-        """Return what lays paths; the seed is that of the ants.
-
-        Raises:
-            ConfigError: There is no such kind of path.
-        """
-        if self.kind not in PATHS:
-            raise ConfigError(f"path.kind is '{self.kind}'; it must be one of {', '.join(PATHS)}")
+        """Return what lays paths; the seed is that of the ants."""
+        check(self, "path")
         return PathLayer(self, seed)
 
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from stillroom.bounds import bounded
 from stillroom.data.cloud.clusters import Clusters
 from stillroom.data.frame import Frame
 from stillroom.data.motion import Motion, Stage
@@ -54,14 +55,14 @@ class ClusterSieveConfig:
     history: DepthHistoryConfig = field(default_factory=lambda: DepthHistoryConfig(ages_s=(0.3, 0.6, 1.2, 2.4)))
     gain: float = 1.5
     suspicion: float = 0.5
-    limit: float = 4.0
+    limit: float = bounded(4.0, above=0)
     min_known_share: float = 0.2
     min_pairs: int = 5
     max_step_m: float = 0.06
     max_step_share: float = 0.03
-    fades_in_s: float = 2.0
+    fades_in_s: float = bounded(2.0, above=0)
     reach_m: float = 0.3
-    margin_px: int = 8
+    margin_px: int = bounded(8, least=0)
 
     def build(self, parts: Parts) -> "ClusterSieve":
         """Return the sieve."""

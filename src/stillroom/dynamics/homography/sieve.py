@@ -6,6 +6,7 @@ import cv2
 import numba
 import numpy as np
 
+from stillroom.bounds import bounded, check
 from stillroom.data.frame import Frame
 from stillroom.data.image import RgbdImage
 from stillroom.data.motion import Motion
@@ -15,7 +16,6 @@ from stillroom.dynamics.ants.search import Found, ReverseSearchConfig, exhaustiv
 from stillroom.dynamics.homography.compensation import CameraMotion, Compensation, CompensationConfig
 from stillroom.dynamics.homography.past import Past, view_of
 from stillroom.dynamics.homography.point_motion import DYNAMIC, UNKNOWN, PointTest, PointTestConfig, View
-from stillroom.errors import ConfigError
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F32, F64, I64, U8, Bool
 from stillroom.geometry.pixels import values_at
@@ -47,22 +47,17 @@ class CompensatedHomographyConfig:
         ants: The path and the search along it.
     """
 
-    earlier_s: float = 0.1
-    search: str = "reverse"
-    fill_px: float = 40.0
-    fill_m: float = 0.15
+    earlier_s: float = bounded(0.1, least=0)
+    search: str = bounded("reverse", one_of=SEARCHES)
+    fill_px: float = bounded(40.0, least=0)
+    fill_m: float = bounded(0.15, least=0)
     compensation: CompensationConfig = field(default_factory=CompensationConfig)
     test: PointTestConfig = field(default_factory=PointTestConfig)
     ants: ReverseSearchConfig = field(default_factory=ReverseSearchConfig)
 
     def build(self, parts: Parts) -> "CompensatedHomographySieve":
-        """Return the sieve; its seed is that of MAGSAC and of the ants.
-
-        Raises:
-            ConfigError: There is no such search.
-        """
-        if self.search not in SEARCHES:
-            raise ConfigError(f"search is '{self.search}'; it must be one of {', '.join(SEARCHES)}")
+        """Return the sieve; its seed is that of MAGSAC and of the ants."""
+        check(self)
         return CompensatedHomographySieve(self, parts.seed)
 
 

@@ -6,6 +6,7 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
+from stillroom.bounds import bounded
 from stillroom.data.frame import Frame
 from stillroom.data.map import Map
 from stillroom.dynamics.multiview.kernels import (
@@ -66,20 +67,20 @@ class GeometryConfig:
     tau_m: float = 0.12
     tau_per_m: float = 0.02
     far_m: float = 7.0
-    window_px: int = 0
-    patch_px: int = 3
+    window_px: int = bounded(0, least=0)
+    patch_px: int = bounded(3, least=0)
     patch_std_m: float = 0.03
     patch_std_per_m: float = 0.004
     seen_through: bool = True
     tolerance_m: float = 0.08
     tolerance_share: float = 0.04
     growing: bool = True
-    growing_stride: int = 2
+    growing_stride: int = bounded(2, least=1)
     mean_m: float = 0.3
     mean_per_m: float = 0.02
     step_m: float = 0.03
     step_per_m: float = 0.008
-    min_area_px: int = 200
+    min_area_px: int = bounded(200, least=0)
     min_seen_through: float = 0.1
 
     def build(self) -> "Geometry":

@@ -2,8 +2,9 @@
 
 from dataclasses import dataclass, field, replace
 
+from stillroom.bounds import bounded
 from stillroom.dynamics.multiview.geometry import GeometryConfig
-from stillroom.dynamics.multiview.sieve import GEOMETRY_FIRST, UNION, MultiViewConfig
+from stillroom.dynamics.multiview.sieve import COMBINATIONS, GEOMETRY_FIRST, UNION, MultiViewConfig
 from stillroom.dynamics.multiview.views import FARTHEST, NEAREST, KeyframesConfig
 
 _VARIANCE_M2 = 0.001
@@ -42,8 +43,8 @@ class PaperMultiViewConfig(MultiViewConfig):
     Where the paper gives none (variance, region growing, dilation), its code's.
     """
 
-    combination: str = GEOMETRY_FIRST
-    dilation_px: int = 15
+    combination: str = bounded(GEOMETRY_FIRST, one_of=COMBINATIONS)
+    dilation_px: int = bounded(15, least=0)
     test: GeometryConfig = field(default_factory=_paper)
 
 
@@ -51,6 +52,6 @@ class PaperMultiViewConfig(MultiViewConfig):
 class CodeMultiViewConfig(MultiViewConfig):
     """The code's numbers: the five farthest of the last twenty keyframes, 30° from translations, 0.6 m, union."""
 
-    combination: str = UNION
-    dilation_px: int = 15
+    combination: str = bounded(UNION, one_of=COMBINATIONS)
+    dilation_px: int = bounded(15, least=0)
     test: GeometryConfig = field(default_factory=_code)

@@ -4,14 +4,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from stillroom.bounds import bounded, check
 from stillroom.data.frame import Frame
 from stillroom.data.motion import Motion, Stage
 from stillroom.data.question import Question
 from stillroom.data.semantics import Instance, Semantics, union_of
 from stillroom.dynamics.asking import ImageMemory
 from stillroom.dynamics.multiview.geometry import GeometryConfig
-from stillroom.dynamics.multiview.views import CHOICES
-from stillroom.errors import ConfigError
 from stillroom.geometry.arrays import F64, Bool
 from stillroom.geometry.growing import Shape, grown
 from stillroom.geometry.pixels import values_at
@@ -43,24 +42,14 @@ class MultiViewConfig:
 
     network: bool = True
     geometry: bool = True
-    combination: str = UNION
-    overlap_share: float = 0.3
-    dilation_px: int = 6
+    combination: str = bounded(UNION, one_of=COMBINATIONS)
+    overlap_share: float = bounded(0.3, least=0, most=1)
+    dilation_px: int = bounded(6, least=0)
     test: GeometryConfig = field(default_factory=GeometryConfig)
 
     def build(self, parts: Parts | None = None) -> "MultiViewSieve":
-        """Return the sieve.
-
-        Raises:
-            ConfigError: A value is impossible.
-        """
-        if self.combination not in COMBINATIONS:
-            raise ConfigError(f"combination is '{self.combination}'; there are {', '.join(COMBINATIONS)}")
-        if self.test.keyframes.choice not in CHOICES:
-            raise ConfigError(f"choice is '{self.test.keyframes.choice}'; there are {', '.join(CHOICES)}")
-        for name, value in (("growing_stride", self.test.growing_stride), ("kept", self.test.keyframes.kept)):
-            if value < 1:
-                raise ConfigError(f"{name} is {value}; it must be 1 or more")
+        """Return the sieve."""
+        check(self)
         return MultiViewSieve(self)
 
 

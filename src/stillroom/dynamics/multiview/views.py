@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 import cv2
 import numpy as np
 
+from stillroom.bounds import bounded
 from stillroom.data.frame import Frame
 from stillroom.data.map import Map
 from stillroom.geometry import se3
@@ -39,14 +40,14 @@ class KeyframesConfig:
             lies as near to an edge is not believed.
     """
 
-    kept: int = 20
-    asked: int = 5
-    least: int = 1
-    choice: str = SPREAD
-    max_turn_rad: float = 0.8
-    far_m: float = 6.0
-    grid_px: int = 12
-    apart_s: float = 0.03
+    kept: int = bounded(20, least=1)
+    asked: int = bounded(5, least=1)
+    least: int = bounded(1, least=1)
+    choice: str = bounded(SPREAD, one_of=CHOICES)
+    max_turn_rad: float = bounded(0.8, above=0)
+    far_m: float = bounded(6.0, above=0)
+    grid_px: int = bounded(12, least=0)
+    apart_s: float = bounded(0.03, least=0)
 
 
 @dataclass(frozen=True)

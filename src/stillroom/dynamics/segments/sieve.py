@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from stillroom.bounds import bounded, check
 from stillroom.data.cloud.clusters import Clusters
 from stillroom.data.frame import Frame
 from stillroom.data.motion import Motion, Stage
@@ -16,7 +17,6 @@ from stillroom.dynamics.clusters.samples import Sampler
 from stillroom.dynamics.depth_history import STRIDE, SmallView, ask
 from stillroom.dynamics.homography.past import EarlierImage, Past, view_of
 from stillroom.dynamics.homography.point_motion import DYNAMIC, STATIC, UNKNOWN, PointTest, PointTestConfig, View
-from stillroom.errors import ConfigError
 from stillroom.geometry import homography, se3
 from stillroom.geometry.arrays import F64, I64, Bool
 from stillroom.geometry.pixels import values_at
@@ -57,32 +57,24 @@ class MovedSegmentsConfig:
         test: When a point moves.
     """
 
-    earlier_s: float = 0.2
-    max_points: int = 24
-    min_points: int = 6
-    share: float = 0.5
+    earlier_s: float = bounded(0.2, least=0)
+    max_points: int = bounded(24, least=1)
+    min_points: int = bounded(6, least=1)
+    share: float = bounded(0.5, above=0, below=1)
     plain: float = 0.25
     tolerance_m: float = 0.05
     tolerance_share: float = 0.02
     max_turn_rad_s: float = 0.5
     gain: float = 1.5
     limit: float = 2.5
-    fades_in_s: float = 1.0
+    fades_in_s: float = bounded(1.0, above=0)
     reach_m: float = 0.3
-    margin_px: int = 8
+    margin_px: int = bounded(8, least=0)
     test: PointTestConfig = field(default_factory=PointTestConfig)
 
     def build(self, parts: Parts | None = None) -> "MovedSegments":
-        """Return the sieve; nothing in it is drawn by lot.
-
-        Raises:
-            ConfigError: A value is impossible.
-        """
-        for key, least in (("max_points", 1), ("min_points", 1), ("margin_px", 0)):
-            if getattr(self, key) < least:
-                raise ConfigError(f"{key} is {getattr(self, key)}; it must be {least} or more")
-        if not 0.0 < self.share < 1.0:
-            raise ConfigError(f"share is {self.share}; it must lie between 0 and 1")
+        """Return the sieve; it makes no random choice."""
+        check(self)
         return MovedSegments(self)
 
 

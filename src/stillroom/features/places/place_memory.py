@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from stillroom.bounds import bounded
 from stillroom.data.frame import Frame
 from stillroom.data.map import Map
 from stillroom.features.places.growth import GrowthConfig, grow
@@ -23,7 +24,7 @@ class PlacesConfig:
     """
 
     vocabulary: Path | None = None
-    grow_every: int = 0
+    grow_every: int = bounded(0, least=0)
     growth: GrowthConfig = field(default_factory=lambda: GrowthConfig(depth=6, min_descriptors=50))
 
     def build(self, parts: Parts) -> "PlaceMemory":

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 
+from stillroom.bounds import bounded
 from stillroom.geometry.arrays import F32, F64, I16, I32, U16, Bool
 from stillroom.geometry.cloud.continuation import Reach, continue_planes, give_samples, planes_of_cells
 from stillroom.geometry.cloud.plane_fit import (
@@ -49,14 +50,14 @@ class PlaneLimits:
         min_width_m: Smallest width of that piece [m]; a person who stands upright is flat, but narrow.
     """
 
-    cell: int = 5
+    cell: int = bounded(5, least=1)
     max_misfit: float = 0.004
-    tolerance: float = 0.005
+    tolerance: float = bounded(0.005, above=0)
     max_bend: float = 0.006
     max_off: float = 0.02
     max_step: float = 0.005
     max_turn_rad: float = 0.4
-    window: int = 5
+    window: int = bounded(5, least=1)
     min_share: float = 0.75
     min_area_m2: float = 0.5
     min_piece_m2: float = 0.15

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from stillroom.bounds import bounded
 from stillroom.geometry.arrays import F32, F64, I16, I32, I64, Bool, Floats
 from stillroom.geometry.cloud.backproject import RayGrid
 from stillroom.geometry.cloud.euclidean import depth_scaled, euclidean_clusters
@@ -181,10 +182,10 @@ class SegmentLimits:
         limb_reach: How far beyond the box it may reach, as a share of the box's width.
     """
 
-    voxel_m: float = 0.02
-    tolerance_m: float = 0.04
-    tolerance_share: float = 0.018
-    min_points: int = 40
+    voxel_m: float = bounded(0.02, above=0)
+    tolerance_m: float = bounded(0.04, above=0)
+    tolerance_share: float = bounded(0.018, least=0)
+    min_points: int = bounded(40, least=1)
     limb_share: float = 0.25
     limb_reach: float = 0.25
 

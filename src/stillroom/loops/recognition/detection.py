@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stillroom.bounds import bounded
 from stillroom.data.map import Map
 from stillroom.features.places.place_index import Resemblance, best_places
 from stillroom.features.places.place_memory import PlaceMemory
@@ -21,9 +22,9 @@ class DetectionConfig:
         max_candidates: Places that are followed, and looked at more closely, for each keyframe at most.
     """
 
-    pause_keyframes: int = 10
-    consistent_keyframes: int = 3
-    max_candidates: int = 3
+    pause_keyframes: int = bounded(10, least=0)
+    consistent_keyframes: int = bounded(3, least=1)
+    max_candidates: int = bounded(3, least=1)
 
     def build(self, parts: Parts, places: PlaceMemory) -> "LoopDetector":
         """Return the detector of a map."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from stillroom.errors import ConfigError
+from stillroom.bounds import bounded
 from stillroom.semantics.masks.segments import HalfImage, Segments
 
 
@@ -23,16 +23,7 @@ class MaskCarryConfig:
         depth_step_m: What changes its depth by more than this from an image to the next has become something else [m].
     """
 
-    depth_step_m: float = 0.30
-
-    def check(self) -> None:
-        """Refuse impossible values.
-
-        Raises:
-            ConfigError: Names the key.
-        """
-        if self.depth_step_m <= 0:
-            raise ConfigError(f"carry.depth_step_m is {self.depth_step_m}; it must be above 0")
+    depth_step_m: float = bounded(0.30, above=0)
 
 
 def carried(segments: Segments, earlier: HalfImage, now: HalfImage, config: MaskCarryConfig) -> Segments:

@@ -5,10 +5,11 @@ from pathlib import Path
 
 import numpy as np
 
+from stillroom.bounds import bounded, check
 from stillroom.data.image import RgbdImage
 from stillroom.data.locations import model_folders, model_path
 from stillroom.data.semantics import Semantics
-from stillroom.errors import ConfigError, WeightsError
+from stillroom.errors import WeightsError
 from stillroom.protocols import Parts, Segmenter
 from stillroom.semantics.masks.carry import MaskCarryConfig
 from stillroom.semantics.masks.class_names import VOC_CLASSES, channels_of
@@ -52,16 +53,16 @@ class OnnxMasksConfig:
     classes: tuple[str, ...] = VOC_CLASSES
     movable: tuple[str, ...] = ("person",)
     named: tuple[str, ...] = ()
-    probability: float = 0.5
-    every: int = 1
-    latency_frames: int = 0
-    longer_side_px: int = 321
-    step_px: int = 16
-    offset_px: int = 1
+    probability: float = bounded(0.5, above=0, most=1)
+    every: int = bounded(1, least=1)
+    latency_frames: int = bounded(0, least=0)
+    longer_side_px: int = bounded(321, least=1)
+    step_px: int = bounded(16, least=1)
+    offset_px: int = bounded(1, least=0)
     mean: tuple[float, float, float] = (127.5, 127.5, 127.5)
-    std: tuple[float, float, float] = (127.5, 127.5, 127.5)
+    std: tuple[float, float, float] = bounded((127.5, 127.5, 127.5), above=0)
     bgr: bool = False
-    scores: str = LOGITS
+    scores: str = bounded(LOGITS, one_of=(LOGITS, PROBABILITIES))
     refine: RefineConfig = field(default_factory=RefineConfig)
     carry: MaskCarryConfig = field(default_factory=MaskCarryConfig)
     regions: RegionsConfig = field(default_factory=RegionsConfig)
@@ -73,32 +74,10 @@ class OnnxMasksConfig:
             ConfigError: A value is impossible, or a class is not among the network's.
             WeightsError: The network's file is absent, or it is not a network of this kind.
         """
-        self.check()
+        check(self)
         channels = channels_of((*self.movable, *self.named), self.classes)
         network = SegmentationNetwork(find_model(self.model), channels, len(self.classes), self._reading())
         return OnnxMasks(network, self)
-
-    def check(self) -> None:
-        """Refuse impossible values.
-
-        Raises:
-            ConfigError: Names the key.
-        """
-        for key in ("every", "longer_side_px", "step_px"):
-            if getattr(self, key) < 1:
-                raise ConfigError(f"{key} is {getattr(self, key)}; it must be 1 or more")
-        for key in ("latency_frames", "offset_px"):
-            if getattr(self, key) < 0:
-                raise ConfigError(f"{key} is {getattr(self, key)}; it must not be negative")
-        if not 0.0 < self.probability <= 1.0:
-            raise ConfigError(f"probability is {self.probability}; it must be above 0 and at most 1")
-        if min(self.std) <= 0.0:
-            raise ConfigError(f"std is {self.std}; its values must be above 0")
-        if self.scores not in (LOGITS, PROBABILITIES):
-            raise ConfigError(f"scores is '{self.scores}'; it must be '{LOGITS}' or '{PROBABILITIES}'")
-        self.refine.check()
-        self.carry.check()
-        self.regions.check()
 
     def _reading(self) -> Reading:
         return Reading(self.longer_side_px, self.step_px, self.offset_px, self.mean, self.std, self.bgr, self.scores)

@@ -9,7 +9,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from stillroom.errors import ConfigError, WeightsError
+from stillroom.bounds import bounded, check
+from stillroom.errors import WeightsError
 from stillroom.geometry.arrays import F32, U8
 from stillroom.protocols import Parts, Segmenter
 from stillroom.semantics.masks.carry import MaskCarryConfig
@@ -45,12 +46,12 @@ class PspNetConfig:
     """
 
     model: Path | None = None
-    input: str = "640x480"
+    input: str = bounded("640x480", one_of=tuple(INPUTS_PX))
     movable: tuple[str, ...] = ("person",)
     named: tuple[str, ...] = ()
-    probability: float = 0.5
-    every: int = 1
-    latency_frames: int = 0
+    probability: float = bounded(0.5, above=0, most=1)
+    every: int = bounded(1, least=1)
+    latency_frames: int = bounded(0, least=0)
     refine: RefineConfig = field(default_factory=RefineConfig)
     carry: MaskCarryConfig = field(default_factory=MaskCarryConfig)
     regions: RegionsConfig = field(default_factory=RegionsConfig)
@@ -62,13 +63,11 @@ class PspNetConfig:
             ConfigError: A value is impossible, or a class is not among VOC's.
             WeightsError: The network's file is absent, or none of `stillroom export pspnet`.
         """
-        if self.input not in INPUTS_PX:
-            raise ConfigError(f"input is '{self.input}'; it must be one of {', '.join(INPUTS_PX)}")
+        check(self)
         masks = OnnxMasksConfig(
             movable=self.movable, named=self.named, probability=self.probability, every=self.every,
             latency_frames=self.latency_frames, refine=self.refine, carry=self.carry, regions=self.regions,
         )  # fmt: skip
-        masks.check()
         channels = channels_of((*self.movable, *self.named), VOC_CLASSES)
         return OnnxMasks(pspnet(self.model, channels, INPUTS_PX[self.input]), masks)
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from stillroom.errors import ConfigError
+from stillroom.bounds import bounded
 from stillroom.geometry.arrays import F32, U8, Bool
 from stillroom.geometry.growing import Shape, element, grown
 from stillroom.semantics.masks.segments import Segments
@@ -29,22 +29,14 @@ class RefineConfig:
     """
 
     enabled: bool = True
-    band_px: int = 14
-    window_px: int = 90
-    jump_m: float = 0.30
-    near_m: float = 0.30
+    band_px: int = bounded(14, least=0)
+    window_px: int = bounded(90, least=0)
+    jump_m: float = bounded(0.30, least=0)
+    near_m: float = bounded(0.30, least=0)
 
-    def check(self) -> None:
-        """Refuse impossible values.
-
-        Raises:
-            ConfigError: Names the key.
-        """
-        for key in ("band_px", "window_px", "jump_m", "near_m"):
-            if getattr(self, key) < 0:
-                raise ConfigError(f"refine.{key} is {getattr(self, key)}; it must not be negative")
-        if self.window_px <= self.band_px:
-            raise ConfigError(f"refine.window_px is {self.window_px}; it must be above band_px, {self.band_px}")
+    def contradiction(self) -> tuple[str, str] | None:
+        """Return that the window is not larger than the band."""
+        return None if self.window_px > self.band_px else ("window_px", f"it must be above band_px, {self.band_px}")
 
 
 def refined(segments: Segments, depth_m: F32, config: RefineConfig) -> Segments:

@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
+from stillroom.bounds import bounded
 from stillroom.data.semantics import Box, Semantics, nothing
-from stillroom.errors import ConfigError
 from stillroom.geometry.growing import Shape, grown
 from stillroom.semantics.masks.segments import Segments
 
@@ -24,21 +24,11 @@ class RegionsConfig:
         boxes: Whether each region becomes a box, too; boxes are not grown.
     """
 
-    min_px: int = 400
-    dilate_px: int = 5
-    crowd_share: float = 0.6
-    crowd_px: int = 5
+    min_px: int = bounded(400, least=0)
+    dilate_px: int = bounded(5, least=0)
+    crowd_share: float = bounded(0.6, least=0)
+    crowd_px: int = bounded(5, least=0)
     boxes: bool = True
-
-    def check(self) -> None:
-        """Refuse impossible values.
-
-        Raises:
-            ConfigError: Names the key.
-        """
-        for key in ("min_px", "dilate_px", "crowd_share", "crowd_px"):
-            if getattr(self, key) < 0:
-                raise ConfigError(f"regions.{key} is {getattr(self, key)}; it must not be negative")
 
 
 def without_specks(segments: Segments, min_px: int) -> Segments:

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from stillroom.bounds import bounded, check
 from stillroom.errors import ConfigError
 from stillroom.protocols import Parts, Segmenter
 from stillroom.semantics.carried_boxes import CarriedBoxes, CarryConfig
@@ -50,19 +51,19 @@ class OnnxBoxesConfig:
     """
 
     model: Path | None = None
-    layout: str = YOLO_V8
+    layout: str = bounded(YOLO_V8, one_of=tuple(LAYOUTS))
     classes: tuple[str, ...] = ()
     classes_file: Path | None = None
     movable: tuple[str, ...] = ("person",)
     named: tuple[str, ...] = ()
-    confidence: float = 0.50
-    nms_iou: float = 0.45
-    input_px: tuple[int, int] = (640, 640)
-    fit: str = LETTERBOX
+    confidence: float = bounded(0.50, above=0, most=1)
+    nms_iou: float = bounded(0.45, above=0, most=1)
+    input_px: tuple[int, int] = bounded((640, 640), least=1)
+    fit: str = bounded(LETTERBOX, one_of=tuple(FITS))
     mean: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    std: tuple[float, float, float] = (255.0, 255.0, 255.0)
+    std: tuple[float, float, float] = bounded((255.0, 255.0, 255.0), above=0)
     bgr: bool = False
-    coordinates: str = PIXELS
+    coordinates: str = bounded(PIXELS, one_of=(PIXELS, SHARES))
     carry: CarryConfig = field(default_factory=CarryConfig)
 
     def build(self, parts: Parts | None = None) -> Segmenter:
@@ -79,7 +80,7 @@ class OnnxBoxesConfig:
 
     def build_detector(self, confidence: float) -> OnnxDetector:
         """Return the bare detector, which reports boxes from a confidence on."""
-        self.check()
+        check(self)
         if self.model is None:
             raise ConfigError("model is not set; name an ONNX file, as in semantics.model=detector.onnx")
         path = find_model(self.model)
@@ -111,21 +112,3 @@ class OnnxBoxesConfig:
         if self.classes:
             raise ConfigError("classes and classes_file are both set; set one of them")
         return read_class_names(self.classes_file)
-
-    def check(self) -> None:
-        """Refuse impossible values.
-
-        Raises:
-            ConfigError: Names the key.
-        """
-        for key, known in (("layout", LAYOUTS), ("fit", FITS), ("coordinates", (PIXELS, SHARES))):
-            if getattr(self, key) not in known:
-                raise ConfigError(f"{key} is '{getattr(self, key)}'; it must be one of {', '.join(known)}")
-        for key in ("confidence", "nms_iou"):
-            if not 0.0 < getattr(self, key) <= 1.0:
-                raise ConfigError(f"{key} is {getattr(self, key)}; it must be above 0 and at most 1")
-        if min(self.input_px) < 1:
-            raise ConfigError(f"input_px is {self.input_px}; its sides must be 1 or more")
-        if min(self.std) <= 0.0:
-            raise ConfigError(f"std is {self.std}; its values must be above 0")
-        self.carry.check()

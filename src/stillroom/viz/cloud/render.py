@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from stillroom.bounds import bounded, check
 from stillroom.data.cloud.dense_cloud import DenseCloud
-from stillroom.errors import ConfigError
 from stillroom.geometry.arrays import F32, U8
 from stillroom.geometry.camera import Camera
 from stillroom.viz.cloud.shading import fill_gaps, shade
@@ -27,8 +27,8 @@ class CloudRendererConfig:
         background_top, background_bottom: tuple[int, int, int] = (228, 233, 239)
     """
 
-    supersampling: int = 2
-    disc_voxels: float = 1.25
+    supersampling: int = bounded(2, least=1)
+    disc_voxels: float = bounded(1.25, above=0)
     gap_px: float = 3.0
     exposure: float = 1.15
     two_sided: bool = False
@@ -41,10 +41,7 @@ class CloudRendererConfig:
         Raises:
             ConfigError: A value is impossible.
         """
-        if self.supersampling < 1:
-            raise ConfigError(f"supersampling is {self.supersampling}; it must be 1 (none) or more")
-        if self.disc_voxels <= 0:
-            raise ConfigError(f"disc_voxels is {self.disc_voxels}; it must be positive")
+        check(self, "renderer")
         return CloudRenderer(self)
 
 

@@ -1,0 +1,118 @@
+"""Bounds of settings, declared beside them, so that every message names a setting as the user wrote it.
+
+    @dataclass(frozen=True)
+    class MyConfig:
+        share: float = bounded(0.5, above=0.0, below=1.0)
+        search: str = bounded("reverse", one_of=("reverse", "exhaustive"))
+
+`check` walks a whole tree of configs. It is called when settings are read, and when a system is built.
+"""
+
+import dataclasses
+import math
+from dataclasses import dataclass, field
+from typing import Any, Protocol, runtime_checkable
+
+from stillroom.errors import ConfigError
+
+BOUNDS = "bounds"
+"""The key of a field's metadata."""
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """What a setting may be; of a tuple, each of its items.
+
+    Attributes:
+        least, most: Smallest and largest value.
+        above, below: Values that it must not reach.
+        one_of: All values there are.
+    """
+
+    least: float | None = None
+    above: float | None = None
+    most: float | None = None
+    below: float | None = None
+    one_of: tuple[str, ...] = ()
+
+    def problem(self, value: Any) -> str | None:
+        """Return what a value must be, in words, where it is not; None is no value and fits always."""
+        if value is None:
+            return None
+        if isinstance(value, tuple | list):
+            fits = all(self._fits(item) for item in value)
+            return None if fits else f"each of its values must be {self._words()}"
+        return None if self._fits(value) else f"it must be {self._words()}"
+
+    def _fits(self, value: Any) -> bool:
+        if self.one_of:
+            return value in self.one_of
+        return (
+            math.isfinite(value)
+            and (self.least is None or value >= self.least)
+            and (self.above is None or value > self.above)
+            and (self.most is None or value <= self.most)
+            and (self.below is None or value < self.below)
+        )
+
+    def _words(self) -> str:
+        if self.one_of:
+            return f"one of {', '.join(self.one_of)}"
+        if self.least is not None and self.most is not None:
+            return f"from {self.least:g} to {self.most:g}"
+        lower = f"above {self.above:g}" if self.above is not None else ""
+        if self.least is not None:
+            lower = f"{self.least:g} or more"
+        upper = f"below {self.below:g}" if self.below is not None else ""
+        if self.most is not None:
+            upper = f"at most {self.most:g}"
+        return " and ".join(part for part in (lower, upper) if part) or "a finite number"
+
+
+@runtime_checkable
+class Contradictory(Protocol):
+    """A config whose settings may contradict each other."""
+
+    def contradiction(self) -> tuple[str, str] | None:
+        """Return the key of a setting that does not go with the others, and what it must be; None where all do."""
+
+
+def bounded(
+    default: Any,
+    *,
+    least: float | None = None,
+    above: float | None = None,
+    most: float | None = None,
+    below: float | None = None,
+    one_of: tuple[str, ...] = (),
+) -> Any:
+    """Return a field of a config dataclass with a default and bounds; see `Bounds`."""
+    return field(default=default, metadata={BOUNDS: Bounds(least, above, most, below, tuple(one_of))})
+
+
+def check(config: Any, name: str = "") -> None:
+    """Make sure that a config, and those in it, are within their bounds.
+
+    Args:
+        config: A dataclass.
+        name: What its section is called, with dots; "" for a whole tree.
+
+    Raises:
+        ConfigError: A setting is not; the message has its dotted name.
+    """
+    for one in dataclasses.fields(config):
+        value = getattr(config, one.name)
+        dotted = f"{name}.{one.name}" if name else one.name
+        if dataclasses.is_dataclass(value) and not isinstance(value, type):
+            check(value, dotted)
+        elif BOUNDS in one.metadata:
+            _refuse(dotted, value, one.metadata[BOUNDS].problem(value))
+    if isinstance(config, Contradictory) and (found := config.contradiction()) is not None:
+        key, words = found
+        _refuse(f"{name}.{key}" if name else key, getattr(config, key), words)
+
+
+def _refuse(dotted: str, value: Any, words: str | None) -> None:
+    if words is not None:
+        shown = f"'{value}'" if isinstance(value, str) else value
+        raise ConfigError(f"'{dotted}' is {shown}; {words}")

@@ -142,14 +142,13 @@ class Slam:
         frame = tracked.frame
         if tracked.T_world_cam is not None:
             self.sieve.remember(frame, se3.inverse(tracked.T_world_cam), keyframe)
-        is_static = frame.is_static & tracked.motion.is_static
         result = FrameResult(
             index=frame.image.index,
             timestamp_s=frame.timestamp_s,
             state=tracked.state,
             T_world_cam=tracked.T_world_cam,
             n_keypoints=len(frame),
-            n_static=int(is_static.sum()),
+            n_static=int(tracked.is_static.sum()),
             n_inliers=tracked.n_inliers,
             n_keyframes=len(self.map.alive_keyframes()),
             is_keyframe=keyframe >= 0,

@@ -6,14 +6,25 @@ from plain_room import CAMERA, DISTORTED, flat, image, pose
 
 from stillroom.dense.keyframe_cloud import UNIT_M, CloudMaker, SurfaceConfig
 from stillroom.dense.moving_removal import MovingPoints
-from stillroom.dense.voxels.evidence_kernels import HIT, NOTHING, PASSED, answers, count_in_view, judge_in_view
+from stillroom.dense.voxels.evidence_kernels import (
+    HIT,
+    NOTHING,
+    PASSED,
+    DepthView,
+    Scoring,
+    Seeing,
+    Voxels,
+    answers,
+    count_in_view,
+    judge_in_view,
+)
 from stillroom.dense.voxels.fusing_kernels import SCORE, VOIDED_AT
 from stillroom.dense.voxels.voxel_map import VoxelMap
-from stillroom.dense.witnesses import lens_of, small_depth, views_of
+from stillroom.dense.witnesses import small_depth, views_of
 from stillroom.geometry import se3
 
 STRIDE = 4
-SEEING = (float(UNIT_M), STRIDE, 0.05, 0.035)
+SEEING = Seeing(float(UNIT_M), STRIDE, 0.05, 0.035)
 T_WORLD_CAM = pose(0.3, -0.2, 0.1, (0.1, -0.2, 0.05))
 
 
@@ -25,7 +36,7 @@ def points_at(depth_m: float, raw_px: np.ndarray, camera=CAMERA) -> np.ndarray:
 
 def said(points_m: np.ndarray, depth_m: np.ndarray, moving: np.ndarray | None = None, camera=CAMERA) -> list[int]:
     views = views_of(small_depth(depth_m, moving, STRIDE))
-    return list(answers(points_m, se3.inverse(T_WORLD_CAM), lens_of(camera), views, *SEEING))
+    return list(answers(points_m, DepthView(se3.inverse(T_WORLD_CAM), camera.lens, views), SEEING))
 
 
 def grid() -> np.ndarray:
@@ -78,11 +89,11 @@ def wall_of_voxels(depth_m: float) -> VoxelMap:
 
 
 def judge(voxels: VoxelMap, depth_m: float, times: int, now: int = 9) -> int:
-    T_cam_world, lens = se3.inverse(T_WORLD_CAM), lens_of(CAMERA)
+    T_cam_world, lens = se3.inverse(T_WORLD_CAM), CAMERA.lens
     near = voxels.blocks_near(T_cam_world, lens, (CAMERA.width, CAMERA.height), 5.0)
     views = views_of(small_depth(flat(depth_m), None, STRIDE))
-    args = (near, voxels.key, voxels.rows, now, 0.02, T_cam_world, lens, views, *SEEING, 2, (-10, 12))
-    return sum(judge_in_view(*args) for _ in range(times))
+    view, judged = DepthView(T_cam_world, lens, views), Voxels(voxels.key, voxels.rows, 0.02)
+    return sum(judge_in_view(near, judged, now, view, SEEING, Scoring(2, -10, 12)) for _ in range(times))
 
 
 def test_hits_and_passes_move_the_score_within_limits_and_a_pass_at_the_lowest_empties() -> None:
@@ -109,7 +120,7 @@ def test_every_block_that_holds_a_voxel_in_view_is_near() -> None:
     keys = np.unique(np.array([hash_key(p) for p in points]))
     rows = np.ones((len(keys), 13), dtype=np.int32)
     voxels.append_rows(keys, rows)
-    T_cam_world, lens = se3.inverse(T_WORLD_CAM), lens_of(CAMERA)
+    T_cam_world, lens = se3.inverse(T_WORLD_CAM), CAMERA.lens
     near = voxels.blocks_near(T_cam_world, lens, (CAMERA.width, CAMERA.height), 4.0)
     from stillroom.dense.voxels.hash_kernels import unpack
 

@@ -12,7 +12,7 @@ from small_world import CAMERA, SmallWorld, pose
 from stillroom.data.frame import Frame
 from stillroom.data.semantics import Box
 from stillroom.datasets.open import open_dataset
-from stillroom.dynamics.depth_history import STRIDE, DepthHistory, DepthHistoryConfig, Evidence, ask
+from stillroom.dynamics.depth_history import STRIDE, DepthHistory, DepthHistoryConfig, Evidence, SmallView, ask
 from stillroom.features.orb import OrbConfig
 from stillroom.geometry import se3
 from stillroom.geometry.camera import Camera
@@ -26,8 +26,7 @@ NARROW = DepthHistoryConfig(tolerance_m=0.05, tolerance_share=0.02)
 def asked(depth_m: np.ndarray, T_cam_world: np.ndarray, camera: Camera, points_m: np.ndarray) -> Evidence:
     """Put points to one small image."""
     answer = Evidence(np.zeros(len(points_m), np.int64), np.zeros(len(points_m), np.int64))
-    intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion])
-    ask(depth_m, T_cam_world, intrinsics, points_m, 0.05, 0.02, answer.agrees, answer.empty)
+    ask(SmallView(depth_m, T_cam_world, camera.lens), points_m, 0.05, 0.02, answer.agrees, answer.empty)
     return answer
 
 
@@ -74,9 +73,8 @@ def test_the_kernel_adds_to_what_is_counted() -> None:
     depth_m = np.full((120, 160), 2.0, np.float32)
     points_m = CAMERA.back_project(np.array([[320.0, 240.0], [320.0, 240.0]]), np.array([2.0, 1.0]))
     agrees, empty = np.array([5, 5]), np.array([7, 7])
-    intrinsics = np.array([CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy, *CAMERA.distortion])
     for _ in range(2):
-        ask(depth_m, np.eye(4), intrinsics, points_m, 0.05, 0.02, agrees, empty)
+        ask(SmallView(depth_m, np.eye(4), CAMERA.lens), points_m, 0.05, 0.02, agrees, empty)
     assert agrees.tolist() == [7, 5]
     assert empty.tolist() == [7, 9]
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from stillroom.data.frame import ScaleLevels
-from stillroom.features.projection import Projection, project_points
+from stillroom.features.projection import PointGeometry, Projection, project_points
 from stillroom.geometry import se3
 from stillroom.geometry.camera import Camera
 
@@ -13,32 +13,28 @@ CAMERA = Camera(640, 480, 517.3, 516.5, 318.6, 255.3, (0.26, -0.95, -0.005, 0.00
 FACTORS = ScaleLevels().factors
 
 
-def random_points(seed: int, n: int = 2000) -> dict[str, np.ndarray]:
+def random_points(seed: int, n: int = 2000) -> PointGeometry:
     """Points all around the camera, with viewing geometries of which about half fit."""
     rng = np.random.default_rng(seed)
     points = rng.uniform([-4, -4, -1.5], [4, 4, 6.5], (n, 3))
     normals = points + rng.normal(0, 2.0, (n, 3))
     max_distance_m = np.linalg.norm(points, axis=1) * rng.uniform(0.5, 6.0, n)
-    return {
-        "points_world_m": points,
-        "normals": normals / np.linalg.norm(normals, axis=1, keepdims=True),
-        "min_distance_m": max_distance_m / FACTORS[-1],
-        "max_distance_m": max_distance_m,
-    }
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    return PointGeometry(points, normals, max_distance_m / FACTORS[-1], max_distance_m)
 
 
 T_CAM_WORLD = se3.exp(np.array([0.3, -0.2, 0.1, 0.1, -0.2, 0.05]))
 
 
-def project(points: dict[str, np.ndarray], T_cam_world: np.ndarray = T_CAM_WORLD, **rest: float) -> Projection:
-    return project_points(T_cam_world, CAMERA, FACTORS, **points, **rest)
+def project(points: PointGeometry, T_cam_world: np.ndarray = T_CAM_WORLD, **rest: float) -> Projection:
+    return project_points(T_cam_world, CAMERA, FACTORS, points, **rest)
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_pixels_are_opencvs_and_rules_are_orb_slam2s(seed: int) -> None:
     points = random_points(seed)
     found = project(points)
-    p_world = points["points_world_m"]
+    p_world = points.position_m
     p_cam = se3.transform(T_CAM_WORLD, p_world)
     rotation, translation = cv2.Rodrigues(T_CAM_WORLD[:3, :3])[0], T_CAM_WORLD[:3, 3]
     px = cv2.projectPoints(p_world, rotation, translation, CAMERA.K, None)[0].reshape(-1, 2)
@@ -48,8 +44,8 @@ def test_pixels_are_opencvs_and_rules_are_orb_slam2s(seed: int) -> None:
     visible &= (px[:, 1] >= y_min) & (px[:, 1] <= y_max)
     ray = p_world - se3.inverse(T_CAM_WORLD)[:3, 3]
     distance_m = np.linalg.norm(ray, axis=1)
-    visible &= (distance_m >= 0.8 * points["min_distance_m"]) & (distance_m <= 1.2 * points["max_distance_m"])
-    view_cos = (ray * points["normals"]).sum(axis=1) / distance_m
+    visible &= (distance_m >= 0.8 * points.min_distance_m) & (distance_m <= 1.2 * points.max_distance_m)
+    view_cos = (ray * points.normal).sum(axis=1) / distance_m
     before_angle = visible.copy()
     visible &= view_cos >= 0.5
     assert 100 < visible.sum() < before_angle.sum()
@@ -59,7 +55,7 @@ def test_pixels_are_opencvs_and_rules_are_orb_slam2s(seed: int) -> None:
     right_px = px[visible, 0] - CAMERA.bf / p_cam[visible, 2]
     np.testing.assert_allclose(found.right_px[visible], right_px, atol=1e-3)
     np.testing.assert_allclose(found.view_cos[visible], view_cos[visible], atol=1e-6)
-    level = np.ceil(np.log(points["max_distance_m"] / distance_m) / np.log(1.2))[visible]
+    level = np.ceil(np.log(points.max_distance_m / distance_m) / np.log(1.2))[visible]
     np.testing.assert_array_equal(found.octave[visible], np.clip(level, 0, len(FACTORS) - 1))
     assert len(np.unique(found.octave[visible])) == len(FACTORS)
 
@@ -67,12 +63,8 @@ def test_pixels_are_opencvs_and_rules_are_orb_slam2s(seed: int) -> None:
 def test_a_point_is_expected_on_the_level_where_it_was_found() -> None:
     for octave in range(8):
         max_distance_m = np.array([2.0 * FACTORS[octave] * 0.999])
-        at = {
-            "points_world_m": np.array([[0.0, 0.0, 2.0]]),
-            "normals": np.array([[0.0, 0.0, 1.0]]),
-            "min_distance_m": max_distance_m / FACTORS[-1],
-            "max_distance_m": max_distance_m,
-        }
+        place, direction = np.array([[0.0, 0.0, 2.0]]), np.array([[0.0, 0.0, 1.0]])
+        at = PointGeometry(place, direction, max_distance_m / FACTORS[-1], max_distance_m)
         assert project(at, np.eye(4)).octave[0] == octave
 
 
@@ -85,5 +77,5 @@ def test_the_least_viewing_cosine_is_an_option() -> None:
 
 def test_no_points_and_one_level_are_fine() -> None:
     assert len(project(random_points(0, 0)).px) == 0
-    single = project_points(T_CAM_WORLD, CAMERA, np.ones(1), **random_points(0, 50))
+    single = project_points(T_CAM_WORLD, CAMERA, np.ones(1), random_points(0, 50))
     assert not single.octave.any()

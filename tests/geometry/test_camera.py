@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from stillroom.errors import CalibrationError
-from stillroom.geometry.camera import Camera
+from stillroom.geometry.camera import Camera, brown_conrady
+from stillroom.geometry.distortion import distorted
 
 IDEAL = Camera(640, 480, 535.4, 539.2, 320.1, 247.6)
 BONN = Camera(640, 480, 542.822841, 542.57687, 315.59352, 237.756098, (0.039903, -0.099343, -0.00073, -0.000144, 0.0))
@@ -105,3 +106,19 @@ def test_bounds_come_from_the_undistorted_corners() -> None:
 def test_an_impossible_camera_is_refused_by_name(change: dict[str, object], word: str) -> None:
     with pytest.raises(CalibrationError, match=word):
         dataclasses.replace(IDEAL, **change)
+
+
+@pytest.mark.parametrize("camera", [IDEAL, BONN, FREIBURG1])
+def test_a_ray_is_seen_where_opencv_projects_it_to_in_kernels_and_out_of_them(camera: Camera) -> None:
+    points = points_in_view()
+    expected = cv2_pixels(camera, points, np.array(camera.distortion))
+    x, y = (points[:, :2] / points[:, 2:]).T
+    in_kernels = np.array([distorted(camera.lens, *ray) for ray in zip(x, y, strict=True)])
+    np.testing.assert_allclose(in_kernels, expected, atol=1e-9)
+    np.testing.assert_array_equal(np.stack(brown_conrady(camera.lens, x, y), axis=1), in_kernels)
+
+
+def test_a_lens_holds_floats_in_opencvs_order_whatever_the_camera_was_given() -> None:
+    lens = Camera(640, 480, 500, 510, 320, 240, (1, 2, 3, 4, 5)).lens
+    assert lens == (500.0, 510.0, 320.0, 240.0, 1.0, 2.0, 3.0, 4.0, 5.0)
+    assert all(type(value) is float for value in lens), "kernels would be compiled once more for whole numbers"

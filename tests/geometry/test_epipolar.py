@@ -89,10 +89,9 @@ def test_distances_of_many_images_are_those_of_their_matrices() -> None:
     T = np.stack([se3.exp(rng.normal(0, 0.4, 6)) for _ in range(7)])
     first = rng.integers(0, 6, 200).astype(np.int32)
     first_px, second_px = rng.uniform(0, 480, (2, 200, 2))
-    intrinsics = np.array([CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy])
-    found = motion_line_distances_px(T[6], T[:6], first, first_px, second_px, intrinsics)
+    found = motion_line_distances_px(T[6], T[:6], first, first_px, second_px, CAMERA.lens)
     F = fundamental_from_motion(T[6] @ T[first], CAMERA.K)
     np.testing.assert_allclose(found, line_distances_px(F, first_px, second_px), rtol=1e-6, atol=1e-6)
     T[0] = np.eye(4)  # no motion, no line
-    none = motion_line_distances_px(T[0], T[:1], np.zeros(1, np.int32), first_px[:1], second_px[:1], intrinsics)
+    none = motion_line_distances_px(T[0], T[:1], np.zeros(1, np.int32), first_px[:1], second_px[:1], CAMERA.lens)
     assert np.isinf(none[0])

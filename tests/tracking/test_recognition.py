@@ -13,6 +13,7 @@ from stillroom.data.frame import Frame
 from stillroom.data.map import submaps
 from stillroom.data.matches import Matches
 from stillroom.features.places.place_memory import PlaceMemory
+from stillroom.features.projection import Window
 from stillroom.geometry import se3
 from stillroom.tracking.recognition import (
     Found,
@@ -117,7 +118,7 @@ def test_the_guided_search_finds_what_is_near_and_free(small: SmallMap) -> None:
     frame, seen = look(small)
     ids = small.id_of[small.id_of >= 0]
     free = np.arange(len(frame)) % 3 != 0
-    found = around_projections(frame, se3.inverse(TRUE), ids, free, 10.0, 100, frame.camera, small.map)
+    found = around_projections(frame, se3.inverse(TRUE), ids, free, Window(10.0, max_bits=100), small.map)
     assert free[found.keypoint].all()
     right = small.id_of[seen[found.keypoint]] == found.point_id
     assert right.mean() > 0.97

@@ -62,6 +62,12 @@ class Tracked:
         return self.state is TrackingState.LOST
 
     @property
+    def is_static(self) -> Bool:
+        """Which keypoints (N,) both sieves take to be static."""
+        static: Bool = self.frame.is_static & self.motion.is_static
+        return static
+
+    @property
     def is_matched(self) -> Bool:
         """Which keypoints (N,) have a map point."""
         matched: Bool = self.point_ids >= 0

@@ -9,6 +9,7 @@ import numpy as np
 
 from stillroom.data.cloud.clusters import Clusters
 from stillroom.geometry.arrays import F32, Bool, Floats
+from stillroom.geometry.pixels import values_at
 
 UNNAMED = "movable"
 """Label of an object that no segmenter told apart: a connected part of what may move."""
@@ -164,9 +165,7 @@ class Semantics:
         """Tell for points (N, 2) of the image as taken whether they lie on something movable, (N,)."""
         if not self.has_any or len(raw_px) == 0:
             return np.zeros(len(raw_px), dtype=np.bool_)
-        column = np.clip(np.rint(raw_px[:, 0]).astype(np.int64), 0, self.width - 1)
-        row = np.clip(np.rint(raw_px[:, 1]).astype(np.int64), 0, self.height - 1)
-        return np.asarray(self.movable[row, column], dtype=np.bool_)
+        return values_at(self.movable, raw_px)
 
     @cached_property
     def boxes_xyxy_px(self) -> F32:

@@ -9,9 +9,20 @@ from stillroom.data.image import RgbdImage
 from stillroom.data.map import Map
 from stillroom.dense.keyframe_cloud import UNIT_M, SurfaceConfig
 from stillroom.dense.moving_removal import MovingPoints
-from stillroom.dense.voxels.evidence_kernels import NOTHING, answers, judge_in_view, judge_rows, mean_positions, rows_in
+from stillroom.dense.voxels.evidence_kernels import (
+    NOTHING,
+    DepthView,
+    Scoring,
+    Seeing,
+    Voxels,
+    answers,
+    judge_in_view,
+    judge_rows,
+    mean_positions,
+    rows_in,
+)
 from stillroom.dense.voxels.voxel_map import VoxelMap, block_centres_m, in_frustum
-from stillroom.dense.witnesses import Witnesses, lens_of, small_depth, views_of
+from stillroom.dense.witnesses import Witnesses, small_depth, views_of
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64, I32, I64, U16, Bool
 from stillroom.geometry.camera import Camera
@@ -67,11 +78,11 @@ class Carver:
         """Start without earlier images."""
         self.config, self.voxels, self.world, self.camera = config, voxels, world, camera
         self._far_m = surface.far_m
-        self._size_px, self._lens = (camera.width, camera.height), lens_of(camera)
+        self._size_px, self._lens = (camera.width, camera.height), camera.lens
         self._witnesses = Witnesses(camera, most_witnesses)
-        self._limits = config.lowest, config.highest
+        self._scoring = Scoring(config.hit, config.lowest, config.highest)
         self._stride = COARSER * surface.stride
-        self._seeing = float(UNIT_M), self._stride, config.tolerance_m, config.tolerance_share
+        self._seeing = Seeing(float(UNIT_M), self._stride, config.tolerance_m, config.tolerance_share)
         # Points of moving things lie no further apart than the radius, up to a typical depth.
         self._thinning = max(1, int(config.radius_m * camera.fx / TYPICAL_DEPTH_M / self._stride))
         self._since_judged = self._since_frame_judged = config.every
@@ -143,37 +154,17 @@ class Carver:
         heard = np.zeros(len(rows), dtype=np.bool_)
         positions_m = mean_positions(rows, voxels.key, voxels.rows, voxels.voxel_m)
         for T_cam_world, depth in self._witnesses.choose(positions_m, self._far_m, config.n_asked, self.world):
-            judge_rows(
-                rows,
-                positions_m,
-                voxels.rows,
-                T_cam_world,
-                self._lens,
-                views_of(depth),
-                *self._seeing,
-                config.hit,
-                self._limits,
-                heard,
-            )
+            view = DepthView(T_cam_world, self._lens, views_of(depth))
+            judge_rows(rows, positions_m, voxels.rows, view, self._seeing, self._scoring, heard)
         voxels.score[rows[~heard]] = 1  # nobody has said anything against these
 
     def _judge(self, depth: U16, T_world_cam: F64, now: int) -> None:
         """Let a small depth image (h, w) judge what is in view."""
         voxels, T_cam_world = self.voxels, se3.inverse(T_world_cam)
         near = voxels.blocks_near(T_cam_world, self._lens, self._size_px, self._far_m)
-        judge_in_view(
-            near,
-            voxels.key,
-            voxels.rows,
-            now,
-            voxels.voxel_m,
-            T_cam_world,
-            self._lens,
-            views_of(depth),
-            *self._seeing,
-            self.config.hit,
-            self._limits,
-        )
+        view = DepthView(T_cam_world, self._lens, views_of(depth))
+        judged = Voxels(voxels.key, voxels.rows, voxels.voxel_m)
+        judge_in_view(near, judged, now, view, self._seeing, self._scoring)
         self._since_judged = 0
 
     def _remove_moving(self, depth: U16, T_world_cam: F64, now: int) -> None:
@@ -187,7 +178,8 @@ class Carver:
         positions_m = mean_positions(rows, voxels.key, voxels.rows, voxels.voxel_m)
         perhaps = moving.perhaps_near(positions_m, config.radius_m)
         rows, positions_m = rows[perhaps], positions_m[perhaps]
-        said = answers(positions_m, se3.inverse(T_world_cam), self._lens, views_of(depth), *self._seeing)
+        view = DepthView(se3.inverse(T_world_cam), self._lens, views_of(depth))
+        said = answers(positions_m, view, self._seeing)
         open_to_it = said == NOTHING
         gone = moving.near(positions_m[open_to_it], config.radius_m)
         voxels.void(rows[open_to_it][gone], now, config.lowest)

@@ -20,7 +20,6 @@ from stillroom.dense.voxels.fusing_kernels import FULL_WEIGHT, SCORE, WEIGHT
 from stillroom.dense.voxels.hash_kernels import unpack
 from stillroom.dense.voxels.swapped_blocks import SwappedBlocks
 from stillroom.dense.voxels.voxel_map import VoxelMap
-from stillroom.dense.witnesses import lens_of
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64, I32, Bool
 from stillroom.protocols import P, Parts, T
@@ -86,7 +85,7 @@ class DenseMapper:
         bytes_of_witness = self._maker.shape[0] * self._maker.shape[1] / 2
         most = max(16, int(WITNESS_SHARE * config.max_memory_mb * MB / bytes_of_witness))
         self._carver = Carver(config.carving, config.surface, camera, self.voxels, world, most)
-        self._size_px, self._lens = (camera.width, camera.height), lens_of(camera)
+        self._size_px, self._lens = (camera.width, camera.height), camera.lens
         self._newborn: I32 = np.zeros(0, dtype=np.int32)
         self._clock = 0
         self._last_keyframe = -1

@@ -10,6 +10,7 @@ from stillroom.data.image import RgbdImage
 from stillroom.dense.surface_kernels import I8, find_surfaces, take_every, to_units
 from stillroom.geometry.arrays import F32, U8, U16, Bool
 from stillroom.geometry.camera import Camera
+from stillroom.geometry.growing import Shape, element
 
 UNIT_M = np.float32(2e-4)
 """Depths are kept in units of 0.2 mm, up to 13.1 m."""
@@ -120,7 +121,7 @@ class CloudMaker:
         reach = -(-config.margin_px // config.stride)
         if reach <= 0 or not excluded.any():
             return excluded
-        kernel = np.ones((2 * reach + 1, 2 * reach + 1), dtype=np.uint8)
+        kernel = element(reach, Shape.SQUARE)
         known = excluded & (depth_m > 0)
         farthest = cv2.dilate(np.where(known, depth_m, np.float32(-1e3)), kernel)
         nearest = cv2.erode(np.where(known, depth_m, np.float32(1e3)), kernel)

@@ -11,6 +11,7 @@ from stillroom.dense.voxels.evidence_kernels import count_in_view
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F32, F64, U16, Bool
 from stillroom.geometry.camera import Camera
+from stillroom.geometry.growing import Shape, element
 
 SAMPLES = 64
 LEAST_SHARE = 0.1
@@ -42,7 +43,7 @@ def small_depth(depth_m: F32, is_moving: Bool | None, stride: int) -> U16:
 
 def views_of(depth: U16) -> U16:
     """Return depth, nearest and farthest of the neighbourhood (h, w, 3); see `evidence_kernels.look`."""
-    square = np.ones((3, 3), dtype=np.uint8)
+    square = element(1, Shape.SQUARE)
     # What is unknown, 0, becomes the farthest: 0 − 1 wraps around.
     nearest = cv2.erode(depth - np.uint16(1), square) + np.uint16(1)
     return np.asarray(cv2.merge((depth, nearest, cv2.dilate(depth, square))), dtype=np.uint16)
@@ -55,7 +56,7 @@ class Witnesses:
         """Start without any; keep at most `most`."""
         self.most = most
         self._size_px = camera.width, camera.height
-        self._lens = lens_of(camera)
+        self._lens = camera.lens
         self._all: list[Witness] = []
         self._T_cam_world = np.zeros((most + 1, 4, 4))
 
@@ -103,8 +104,3 @@ class Witnesses:
             pose = world.keyframe_pose(self._all[i].keyframe) @ self._all[i].T_keyframe_cam
             self._T_cam_world[i] = se3.inverse(pose)
         return [(self._T_cam_world[i].copy(), self._all[i].depth) for i in able]
-
-
-def lens_of(camera: Camera) -> F64:
-    """Return fx fy cx cy k1 k2 p1 p2 k3 (9,)."""
-    return np.array([camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion], dtype=np.float64)

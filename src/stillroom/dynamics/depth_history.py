@@ -2,6 +2,7 @@
 
 from collections import deque
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -10,7 +11,8 @@ from stillroom.bounds import bounded
 from stillroom.data.frame import Frame
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F32, F64, I64
-from stillroom.geometry.camera import Camera
+from stillroom.geometry.camera import Camera, Lens
+from stillroom.geometry.distortion import distorted
 
 STRIDE = 4
 """Every fourth pixel of a depth image is remembered."""
@@ -81,18 +83,9 @@ class DepthHistory:
         """Ask earlier images about points (N, 3) [m, world]."""
         agrees = np.zeros(len(points_world_m), dtype=np.int64)
         empty = np.zeros(len(points_world_m), dtype=np.int64)
-        intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion])
+        tolerances = self.config.tolerance_m, self.config.tolerance_share
         for image in self._asked(now_s):
-            ask(
-                image.depth_m,
-                image.T_cam_world,
-                intrinsics,
-                points_world_m,
-                self.config.tolerance_m,
-                self.config.tolerance_share,
-                agrees,
-                empty,
-            )
+            ask(SmallView(image.depth_m, image.T_cam_world, camera.lens), points_world_m, *tolerances, agrees, empty)
         return Evidence(agrees, empty)
 
     def _asked(self, now_s: float) -> list[_Remembered]:
@@ -104,31 +97,35 @@ class DepthHistory:
         return [self._images[i] for i in sorted(wanted) if ages_s[i] >= self.config.interval_s / 2]
 
 
+class SmallView(NamedTuple):
+    """A small depth image.
+
+    Attributes:
+        depth_m: Every `STRIDE`-th pixel of an image as taken (h, w) [m]; 0 where unknown.
+        T_cam_world: Its pose (4, 4).
+        lens: Of the whole image.
+    """
+
+    depth_m: F32
+    T_cam_world: F64
+    lens: Lens
+
+
 @njit(nogil=True, cache=True)
 def ask(
-    depth_m: F32,
-    T_cam_world: F64,
-    intrinsics: F64,
-    points_world_m: F64,
-    tolerance_m: float,
-    tolerance_share: float,
-    agrees: I64,
-    empty: I64,
+    view: SmallView, points_world_m: F64, tolerance_m: float, tolerance_share: float, agrees: I64, empty: I64
 ) -> None:
-    """Add what one small depth image (h, w) says of points (N, 3) to `agrees` and `empty` (N,).
+    """Add what one small depth image says of points (N, 3) to `agrees` and `empty` (N,).
 
     The pixel and its eight neighbours are asked: one that agrees is enough, and all that know must lie behind.
 
     Args:
-        depth_m: Every `STRIDE`-th pixel of an image as taken; 0 where unknown.
-        T_cam_world: Its pose (4, 4).
-        intrinsics: fx fy cx cy k1 k2 p1 p2 k3 (9,).
+        view: The image.
         points_world_m: The points.
         tolerance_m, tolerance_share: See `DepthHistoryConfig`.
         agrees, empty: Counters.
     """
-    fx, fy, cx, cy, k1, k2, p1, p2, k3 = intrinsics
-    T = T_cam_world
+    depth_m, T, lens = view
     for i in range(len(points_world_m)):
         X, Y, Z = points_world_m[i]
         z = T[2, 0] * X + T[2, 1] * Y + T[2, 2] * Z + T[2, 3]
@@ -136,10 +133,7 @@ def ask(
             continue
         x = (T[0, 0] * X + T[0, 1] * Y + T[0, 2] * Z + T[0, 3]) / z
         y = (T[1, 0] * X + T[1, 1] * Y + T[1, 2] * Z + T[1, 3]) / z
-        r2 = x * x + y * y
-        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        u = fx * (x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)) + cx
-        v = fy * (y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y) + cy
+        u, v = distorted(lens, x, y)
         if not (u >= STRIDE and v >= STRIDE and u < STRIDE * 10000 and v < STRIDE * 10000):
             continue
         column, row = int(u / STRIDE + 0.5), int(v / STRIDE + 0.5)

@@ -90,14 +90,13 @@ class EpipolarSieve:
             return np.zeros(0, dtype=np.bool_)
         frame, world = question.frame, question.world
         oldest = world.oldest_observations(matches.point_id)
-        camera = frame.camera
         distance_px = motion_line_distances_px(
             question.T_cam_world,
             world.keyframes.T_world_cam,
             world.keypoints.keyframe[oldest],
             world.keypoints.px[oldest].astype(np.float64),
             frame.keypoints.px[matches.keypoint].astype(np.float64),
-            np.array([camera.fx, camera.fy, camera.cx, camera.cy]),
+            frame.camera.lens,
         )
         scale = frame.scales.factors[frame.keypoints.octave[matches.keypoint]]
         return np.asarray(distance_px > self.config.threshold_px(question.stage) * scale)

@@ -2,12 +2,12 @@
 
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 
 from stillroom.bounds import bounded, check
 from stillroom.data.frame import Frame
 from stillroom.data.semantics import Semantics
+from stillroom.geometry.growing import Shape, grown
 from stillroom.protocols import KeypointSieve, Parts, Pending
 
 
@@ -51,7 +51,5 @@ class MaskedKeypoints:
     def _grown(self, known: Semantics) -> Semantics:
         if self.config.border_px == 0:
             return known
-        side = 2 * self.config.border_px + 1
-        disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
         # Only the mask is asked; the instances are not grown with it, and would no longer agree with it.
-        return replace(known, mask=cv2.dilate(known.movable.view(np.uint8), disc) != 0, instances=())
+        return replace(known, mask=grown(known.movable, self.config.border_px, Shape.ELLIPSE), instances=())

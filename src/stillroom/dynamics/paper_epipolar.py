@@ -11,6 +11,7 @@ from stillroom.data.motion import Motion, Stage
 from stillroom.data.question import Question
 from stillroom.geometry.arrays import F64, Bool
 from stillroom.geometry.epipolar import line_distances_px
+from stillroom.geometry.robust import usac
 from stillroom.protocols import Parts
 
 _MIN_FOR_F = 15
@@ -45,13 +46,7 @@ class PaperEpipolarSieve:
     def __init__(self, config: PaperEpipolarConfig, seed: int) -> None:
         """Prepare the robust estimator."""
         self.config = config
-        self._usac = cv2.UsacParams()
-        self._usac.randomGeneratorState = seed
-        self._usac.threshold = config.inlier_px
-        self._usac.confidence = 0.99
-        self._usac.score = cv2.SCORE_METHOD_MAGSAC
-        self._usac.sampler = cv2.SAMPLING_UNIFORM
-        self._usac.loMethod = cv2.LOCAL_OPTIM_SIGMA
+        self._usac = usac(config.inlier_px, seed, confidence=0.99)
         self._judged = -1
         self._is_static = np.zeros(0, dtype=np.bool_)
 

@@ -13,6 +13,7 @@ from stillroom.data.frame import Frame, Keypoints, ScaleLevels
 from stillroom.data.image import RgbdImage
 from stillroom.geometry.arrays import F32, F64, I32, I64, U8, Bool, Floats
 from stillroom.geometry.camera import Camera
+from stillroom.geometry.pixels import values_at
 from stillroom.protocols import Parts
 
 # FAST corners, spread evenly over every level of the pyramid.
@@ -345,7 +346,6 @@ class OrbExtractor:
         return np.asarray((corners.px[chosen] + 0.5) * ratio - 0.5, dtype=np.float32)
 
     def _depth_at(self, depth_m: F32, raw_px: F32) -> F32:
-        column, row = np.rint(raw_px).astype(np.int64).T
-        depth = depth_m[np.clip(row, 0, depth_m.shape[0] - 1), np.clip(column, 0, depth_m.shape[1] - 1)]
+        depth = values_at(depth_m, raw_px)
         known = (depth >= self.config.min_depth_m) & (depth <= self.config.max_depth_m)
         return np.where(known, depth, 0.0).astype(np.float32)

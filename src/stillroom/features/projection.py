@@ -1,12 +1,18 @@
-"""Where map points should appear in an image (ORB-SLAM2's isInFrustum)."""
+"""Where map points should appear in an image (ORB-SLAM2's isInFrustum), and the search for them there."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
-from stillroom.geometry.arrays import F32, F64, I32, Bool, Floats
-from stillroom.geometry.camera import Camera
+from stillroom.data.map import Map
+from stillroom.features.matching import FAR_BITS, Queries, Targets, search_windows
+from stillroom.geometry.arrays import F32, F64, I32, Bool
+from stillroom.geometry.camera import Camera, Lens
+
+HEAD_ON_COS = 0.998
+"""From this cosine between present and mean viewing direction on, a point is seen almost head-on (ORB-SLAM2)."""
 
 
 @dataclass(frozen=True)
@@ -30,19 +36,49 @@ class Projection:
     visible: Bool
 
 
+class PointGeometry(NamedTuple):
+    """P points and from where they can be seen.
+
+    Attributes:
+        position_m: (P, 3) float64 [m, world].
+        normal: Mean viewing directions (P, 3) float64.
+        min_distance_m, max_distance_m: Between which distances they can be found (P,) float64 [m].
+    """
+
+    position_m: F64
+    normal: F64
+    min_distance_m: F64
+    max_distance_m: F64
+
+
+class _Viewer(NamedTuple):
+    """A camera as the kernel takes it; `log_factor` is the logarithm of the ratio of neighbouring levels."""
+
+    T_cam_world: F64
+    lens: Lens
+    bf: float
+    bounds_px: tuple[float, float, float, float]
+    log_factor: float
+    n_levels: int
+
+
+class _Seen(NamedTuple):
+    """`Projection` as the kernel writes it."""
+
+    px: F32
+    right_px: F32
+    octave: I32
+    view_cos: F32
+    depth_m: F64
+    visible: Bool
+
+
 def project_points(
-    T_cam_world: F64,
-    camera: Camera,
-    scale_factors: F64,
-    points_world_m: F64,
-    normals: F64,
-    min_distance_m: Floats,
-    max_distance_m: Floats,
-    min_view_cos: float = 0.5,
+    T_cam_world: F64, camera: Camera, scale_factors: F64, points: PointGeometry, min_view_cos: float = 0.5
 ) -> Projection:
-    """Project points with their viewing geometry (P, …) into a camera at `T_cam_world` (4, 4)."""
-    n = len(points_world_m)
-    result = Projection(
+    """Project points with their viewing geometry into a camera at `T_cam_world` (4, 4)."""
+    n = len(points.position_m)
+    seen = _Seen(
         np.zeros((n, 2), np.float32),
         np.zeros(n, np.float32),
         np.zeros(n, np.int32),
@@ -50,58 +86,34 @@ def project_points(
         np.zeros(n, np.float64),
         np.zeros(n, np.bool_),
     )
-    _project(
+    viewer = _Viewer(
         np.ascontiguousarray(T_cam_world),
-        np.array([camera.fx, camera.fy, camera.cx, camera.cy, camera.bf]),
-        np.array(camera.undistorted_bounds_px),
+        camera.lens,
+        float(camera.bf),
+        camera.undistorted_bounds_px,
         float(np.log(scale_factors[1])) if len(scale_factors) > 1 else 1.0,
         len(scale_factors),
-        points_world_m,
-        normals,
-        np.asarray(min_distance_m, dtype=np.float64),
-        np.asarray(max_distance_m, dtype=np.float64),
-        min_view_cos,
-        result.px,
-        result.right_px,
-        result.octave,
-        result.view_cos,
-        result.depth_m,
-        result.visible,
     )
-    return result
+    _project(viewer, points, min_view_cos, seen)
+    return Projection(*seen)
 
 
 @njit(nogil=True, cache=True)
-def _project(
-    T: F64,
-    intrinsics: F64,
-    bounds_px: F64,
-    log_factor: float,
-    n_levels: int,
-    points: F64,
-    normals: F64,
-    min_distance_m: F64,
-    max_distance_m: F64,
-    min_view_cos: float,
-    px: F32,
-    right_px: F32,
-    octave: I32,
-    view_cos: F32,
-    depth_m: F64,
-    visible: Bool,
-) -> None:
-    fx, fy, cx, cy, bf = intrinsics
+def _project(viewer: _Viewer, points: PointGeometry, min_view_cos: float, seen: _Seen) -> None:
+    T, lens, bf, bounds_px, log_factor, n_levels = viewer
+    position_m, normals, min_distance_m, max_distance_m = points
+    px, right_px, octave, view_cos, depth_m, visible = seen
     ox = -(T[0, 0] * T[0, 3] + T[1, 0] * T[1, 3] + T[2, 0] * T[2, 3])
     oy = -(T[0, 1] * T[0, 3] + T[1, 1] * T[1, 3] + T[2, 1] * T[2, 3])
     oz = -(T[0, 2] * T[0, 3] + T[1, 2] * T[1, 3] + T[2, 2] * T[2, 3])
-    for i in range(len(points)):
-        X, Y, Z = points[i, 0], points[i, 1], points[i, 2]
+    for i in range(len(position_m)):
+        X, Y, Z = position_m[i, 0], position_m[i, 1], position_m[i, 2]
         z = T[2, 0] * X + T[2, 1] * Y + T[2, 2] * Z + T[2, 3]
         depth_m[i] = z
         if z <= 0.05:
             continue
-        u = fx * (T[0, 0] * X + T[0, 1] * Y + T[0, 2] * Z + T[0, 3]) / z + cx
-        v = fy * (T[1, 0] * X + T[1, 1] * Y + T[1, 2] * Z + T[1, 3]) / z + cy
+        u = lens.fx * (T[0, 0] * X + T[0, 1] * Y + T[0, 2] * Z + T[0, 3]) / z + lens.cx
+        v = lens.fy * (T[1, 0] * X + T[1, 1] * Y + T[1, 2] * Z + T[1, 3]) / z + lens.cy
         px[i, 0], px[i, 1] = u, v
         right_px[i] = u - bf / z
         if u < bounds_px[0] or v < bounds_px[1] or u > bounds_px[2] or v > bounds_px[3]:
@@ -117,3 +129,88 @@ def _project(
         level = int(np.ceil(np.log(max_distance_m[i] / distance) / log_factor))
         octave[i] = min(max(level, 0), n_levels - 1)
         visible[i] = True
+
+
+@dataclass(frozen=True)
+class Window:
+    """Where points are looked for around their projections, and what counts as found.
+
+    Attributes:
+        radius_px: How far around, on the finest level; wider on coarser ones.
+        head_on_px: The same for points that are seen almost head-on; None for no difference.
+        levels_above: How many levels above the expected one are searched; one below it always is.
+        max_bits: Largest distance of descriptors.
+        ratio: The best must be nearer than this share of the second best of the same octave; 1 switches it off.
+    """
+
+    radius_px: float
+    head_on_px: float | None = None
+    levels_above: int = 1
+    max_bits: int = FAR_BITS
+    ratio: float = 1.0
+
+
+@dataclass(frozen=True)
+class Sightings:
+    """What a search around projections found.
+
+    Attributes:
+        visible: Points that should be seen (V,).
+        point_ids: Points that were found (M,).
+        target: Which of the targets each is (M,).
+        px: Where it was expected (M, 2) float32 [px, undistorted].
+        right_px: Its expected right coordinate (M,) float32.
+    """
+
+    visible: I32
+    point_ids: I32
+    target: I32
+    px: F32
+    right_px: F32
+
+
+def projected(ids: I32, T_cam_world: F64, camera: Camera, world: Map) -> Projection:
+    """Project points (P,) of a map into a camera at `T_cam_world` (4, 4)."""
+    points = world.points
+    geometry = PointGeometry(
+        points.position_m[ids], points.normal[ids], points.min_distance_m[ids], points.max_distance_m[ids]
+    )
+    return project_points(T_cam_world, camera, world.scales.factors, geometry)
+
+
+def keyframe_targets(keyframe: int, world: Map) -> Targets:
+    """Return a keyframe's keypoints as something to search among; those that move are left out."""
+    table, rows = world.keypoints, world.rows(keyframe)
+    return Targets(
+        table.px[rows], table.octave[rows], table.right_px[rows], table.descriptors[rows], table.is_static[rows]
+    )
+
+
+def search_around(
+    ids: I32, T_cam_world: F64, camera: Camera, world: Map, targets: Targets, window: Window
+) -> Sightings:
+    """Look for points (P,) of a map where they should be under a pose (4, 4).
+
+    Args:
+        ids: The points.
+        T_cam_world: Pose of the camera that saw the targets.
+        camera: Its calibration.
+        world: The map.
+        targets: Keypoints to search among.
+        window: How far around, and how like.
+    """
+    projection = projected(ids, T_cam_world, camera, world)
+    at = np.flatnonzero(projection.visible)
+    visible, octave = ids[at], projection.octave[at]
+    head_on_px = window.radius_px if window.head_on_px is None else window.head_on_px
+    radius_px = np.where(projection.view_cos[at] > HEAD_ON_COS, head_on_px, window.radius_px)
+    queries = Queries(
+        projection.px[at],
+        (radius_px * world.scales.factors[octave]).astype(np.float32),
+        octave - 1,
+        octave + window.levels_above,
+        projection.right_px[at],
+        world.points.descriptors[visible],
+    )
+    query, target = search_windows(queries, targets, max_bits=window.max_bits, ratio=window.ratio)
+    return Sightings(visible, visible[query], target, queries.px[query], queries.right_px[query])

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple, TypeVar
 
 import cv2
 import numpy as np
@@ -11,6 +12,36 @@ from stillroom.geometry.arrays import F32, F64, Floats
 
 # OpenCV 4 has the iterated form under a name of its own; OpenCV 5 folded it into undistortPoints.
 _undistort_points = getattr(cv2, "undistortPointsIter", cv2.undistortPoints)
+
+Coordinate = TypeVar("Coordinate", float, F64)
+
+
+class Lens(NamedTuple):
+    """What kernels know of a camera; numba reads a named tuple as it is.
+
+    Attributes:
+        fx, fy, cx, cy: Intrinsics [px].
+        k1, k2, p1, p2, k3: Brown–Conrady distortion, OpenCV's order.
+    """
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    k1: float
+    k2: float
+    p1: float
+    p2: float
+    k3: float
+
+
+def brown_conrady(lens: Lens, x: Coordinate, y: Coordinate) -> tuple[Coordinate, Coordinate]:
+    """Return where in the image as taken a camera sees the ray (x, y, 1), or many, [px]; kernels: `distorted`."""
+    r2 = x * x + y * y
+    radial = 1.0 + r2 * (lens.k1 + r2 * (lens.k2 + r2 * lens.k3))
+    u = lens.fx * (x * radial + 2.0 * lens.p1 * x * y + lens.p2 * (r2 + 2.0 * x * x)) + lens.cx
+    v = lens.fy * (y * radial + lens.p1 * (r2 + 2.0 * y * y) + 2.0 * lens.p2 * x * y) + lens.cy
+    return u, v
 
 
 @dataclass(frozen=True)
@@ -53,6 +84,11 @@ class Camera:
             raise CalibrationError(f"camera: distortion is {self.distortion}; it must be five numbers k1 k2 p1 p2 k3")
 
     @cached_property
+    def lens(self) -> Lens:
+        """Intrinsics and distortion, as kernels take them."""
+        return Lens(*(float(value) for value in (self.fx, self.fy, self.cx, self.cy, *self.distortion)))
+
+    @cached_property
     def K(self) -> F64:
         """Intrinsic matrix (3, 3)."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
@@ -79,12 +115,7 @@ class Camera:
     def distort(self, px: Floats) -> F64:
         """Move undistorted points (N, 2) to where they lie in the image as taken, (N, 2) [px]."""
         x, y = ((np.asarray(px, dtype=np.float64) - (self.cx, self.cy)) / (self.fx, self.fy)).T
-        k1, k2, p1, p2, k3 = self.distortion
-        r2 = x * x + y * y
-        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        xd = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
-        yd = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
-        return np.stack((self.fx * xd + self.cx, self.fy * yd + self.cy), axis=1)
+        return np.stack(brown_conrady(self.lens, x, y), axis=1)
 
     @cached_property
     def undistorted_bounds_px(self) -> tuple[float, float, float, float]:

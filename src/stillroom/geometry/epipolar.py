@@ -4,6 +4,7 @@ import numpy as np
 from numba import njit
 
 from stillroom.geometry.arrays import F64, I32, Floats
+from stillroom.geometry.camera import Lens
 
 # Points from two views.
 
@@ -71,7 +72,7 @@ def line_distances_px(F_second_first: Floats, first_px: Floats, second_px: Float
 
 @njit(nogil=True, cache=True)
 def motion_line_distances_px(
-    T_second_world: F64, T_world_first: F64, first: I32, first_px: F64, second_px: F64, intrinsics: F64
+    T_second_world: F64, T_world_first: F64, first: I32, first_px: F64, second_px: F64, lens: Lens
 ) -> F64:
     """Return what `line_distances_px` would, (N,) [px], for first points of many images with known poses.
 
@@ -80,9 +81,9 @@ def motion_line_distances_px(
         T_world_first: Poses of the first images (Q, 4, 4).
         first: Image of each first point (N,).
         first_px, second_px: The pairs (N, 2).
-        intrinsics: fx fy cx cy (4,).
+        lens: Of the camera; distortion is not read.
     """
-    fx, fy, cx, cy = intrinsics
+    fx, fy, cx, cy = lens.fx, lens.fy, lens.cx, lens.cy
     T = T_second_world
     distances_px = np.empty(len(first))
     t, y, ray = np.empty(3), np.empty(3), np.empty(3)

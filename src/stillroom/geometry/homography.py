@@ -7,6 +7,7 @@ import numba
 import numpy as np
 
 from stillroom.geometry.arrays import F64, U8, Bool, Floats
+from stillroom.geometry.robust import usac
 
 MIN_PAIRS = 8
 """Four pairs determine a homography; with fewer than twice as many none of them is checked by another."""
@@ -53,7 +54,7 @@ def estimate(
         return None
     first, second = (np.ascontiguousarray(px, dtype=np.float64) for px in (first_px, second_px))
     try:
-        found, agrees = cv2.findHomography(first, second, _usac(inlier_px, seed, magsac))
+        found, agrees = cv2.findHomography(first, second, usac(inlier_px, seed, 0.995, magsac))
     except cv2.error:  # OpenCV's way of saying that every sample was degenerate.
         return None
     if found is None or found.shape != (3, 3) or not np.all(np.isfinite(found)):
@@ -140,18 +141,6 @@ def compensate_image(image: U8, H_present_previous: Floats) -> U8:
 def of_rotation(T_second_first: Floats, K: Floats) -> F64:
     """Return K R K⁻¹ (3, 3), Frobenius norm 1: how what is far away moves, or all when the camera only turns."""
     return _unit(K @ T_second_first[:3, :3] @ np.linalg.inv(K))
-
-
-def _usac(inlier_px: float, seed: int, magsac: bool) -> cv2.UsacParams:
-    usac = cv2.UsacParams()
-    usac.randomGeneratorState = seed
-    usac.threshold = inlier_px
-    usac.confidence = 0.995
-    usac.sampler = cv2.SAMPLING_UNIFORM
-    usac.score = cv2.SCORE_METHOD_MAGSAC if magsac else cv2.SCORE_METHOD_RANSAC
-    usac.loMethod = cv2.LOCAL_OPTIM_SIGMA if magsac else cv2.LOCAL_OPTIM_NULL
-    usac.final_polisher = cv2.COV_POLISHER if magsac else cv2.NONE_POLISHER
-    return usac
 
 
 def _is_regular(H: Floats, px: F64) -> bool:

@@ -3,13 +3,13 @@
 import numpy as np
 
 from stillroom.data.map import Map
-from stillroom.features.matching import NEAR_BITS, Queries, Targets, search_windows
-from stillroom.features.projection import project_points
+from stillroom.features.matching import NEAR_BITS
+from stillroom.features.projection import Window, keyframe_targets, search_around
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import I32, Ints
 from stillroom.geometry.camera import Camera
 
-WINDOW_PX = 4.0
+WINDOW = Window(4.0, levels_above=0, max_bits=NEAR_BITS)
 
 
 def take_over(point_ids: I32, rows: Ints, world: Map) -> None:
@@ -28,33 +28,11 @@ def take_over(point_ids: I32, rows: Ints, world: Map) -> None:
 
 def fuse_place(point_ids: I32, keyframe: int, camera: Camera, world: Map) -> None:
     """Look for the points (P,) of a place in a keyframe that lies right by now, and let it see them."""
-    rows = world.rows(keyframe)
-    table, points = world.keypoints, world.points
+    points = world.points
     own = world.points_of(keyframe)
     is_seen = np.zeros(len(points), dtype=np.bool_)
     is_seen[own[own >= 0]] = True
     ids = point_ids[~is_seen[point_ids] & points.is_alive[point_ids]]
-    projection = project_points(
-        se3.inverse(world.keyframes.T_world_cam[keyframe]),
-        camera,
-        world.scales.factors,
-        points.position_m[ids],
-        points.normal[ids],
-        points.min_distance_m[ids],
-        points.max_distance_m[ids],
-    )
-    visible = np.flatnonzero(projection.visible)
-    octave = projection.octave[visible]
-    queries = Queries(
-        projection.px[visible],
-        (WINDOW_PX * world.scales.factors[octave]).astype(np.float32),
-        octave - 1,
-        octave,
-        projection.right_px[visible],
-        points.descriptors[ids[visible]],
-    )
-    targets = Targets(
-        table.px[rows], table.octave[rows], table.right_px[rows], table.descriptors[rows], table.is_static[rows]
-    )
-    query, target = search_windows(queries, targets, max_bits=NEAR_BITS)
-    take_over(ids[visible][query], rows.start + target.astype(np.int64), world)
+    T_cam_world = se3.inverse(world.keyframes.T_world_cam[keyframe])
+    found = search_around(ids, T_cam_world, camera, world, keyframe_targets(keyframe, world), WINDOW)
+    take_over(found.point_ids, world.rows(keyframe).start + found.target.astype(np.int64), world)

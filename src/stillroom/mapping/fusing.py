@@ -3,13 +3,13 @@
 import numpy as np
 
 from stillroom.data.map import Map
-from stillroom.features.matching import NEAR_BITS, Queries, Targets, search_windows
-from stillroom.features.projection import project_points
+from stillroom.features.matching import NEAR_BITS
+from stillroom.features.projection import Window, keyframe_targets, search_around
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import I32
 from stillroom.geometry.camera import Camera
 
-_WINDOW_PX = 3.0
+_WINDOW = Window(3.0, levels_above=0, max_bits=NEAR_BITS)
 _CHI2_2D, _CHI2_3D = 5.99, 7.8
 
 
@@ -41,40 +41,18 @@ def fuse(point_ids: I32, keyframe: int, camera: Camera, world: Map) -> None:
 
     Of two points that are one, the one with more observations stays.
     """
-    rows = world.rows(keyframe)
     table, points = world.keypoints, world.points
     ids = world.without(point_ids, world.points_of(keyframe))
     ids = ids[points.is_alive[ids]]
-    projection = project_points(
-        se3.inverse(world.keyframes.T_world_cam[keyframe]),
-        camera,
-        world.scales.factors,
-        points.position_m[ids],
-        points.normal[ids],
-        points.min_distance_m[ids],
-        points.max_distance_m[ids],
-    )
-    visible = np.flatnonzero(projection.visible)
-    ids, octave = ids[visible], projection.octave[visible]
-    queries = Queries(
-        projection.px[visible],
-        (_WINDOW_PX * world.scales.factors[octave]).astype(np.float32),
-        octave - 1,
-        octave,
-        projection.right_px[visible],
-        points.descriptors[ids],
-    )
-    targets = Targets(
-        table.px[rows], table.octave[rows], table.right_px[rows], table.descriptors[rows], table.is_static[rows]
-    )
-    query, target = search_windows(queries, targets, max_bits=NEAR_BITS)
-    found = rows.start + target
-    error2 = ((queries.px[query] - table.px[found]) ** 2).sum(axis=1)
+    T_cam_world = se3.inverse(world.keyframes.T_world_cam[keyframe])
+    seen = search_around(ids, T_cam_world, camera, world, keyframe_targets(keyframe, world), _WINDOW)
+    found = world.rows(keyframe).start + seen.target
+    error2 = ((seen.px - table.px[found]) ** 2).sum(axis=1)
     has_depth = table.right_px[found] >= 0
-    error2 += np.where(has_depth, (queries.right_px[query] - table.right_px[found]) ** 2, 0.0)
+    error2 += np.where(has_depth, (seen.right_px - table.right_px[found]) ** 2, 0.0)
     error2 *= world.scales.inverse_variances[table.octave[found]]
     good = error2 <= np.where(has_depth, _CHI2_3D, _CHI2_2D)
-    _join(ids[query[good]], found[good], world)
+    _join(seen.point_ids[good], found[good], world)
 
 
 def _join(ids: I32, rows: I32, world: Map) -> None:

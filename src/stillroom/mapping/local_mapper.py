@@ -67,7 +67,7 @@ class LocalMapper:
             tracked.frame,
             tracked.T_world_cam,
             tracked.point_ids,
-            tracked.motion.is_static & tracked.frame.is_static,
+            tracked.is_static,
             tracked.reference_keyframe,
             tracked.motion.p_static,
         )

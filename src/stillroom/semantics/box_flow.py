@@ -8,14 +8,14 @@ import cv2
 import numpy as np
 
 from stillroom.data.image import RgbdImage
+from stillroom.features.optical_flow import OpticalFlow
 from stillroom.geometry.arrays import F32, F64, U8, Bool, Floats
+from stillroom.geometry.pixels import values_at
 
 MAX_CORNERS = 40
 CORNER_QUALITY = 0.01
 CORNER_DISTANCE_PX = 4  # in the halved image, in which flow is measured
-WINDOW_PX = (15, 15)
-PYRAMID_LEVELS = 2
-STOP_FLOW = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.03)
+FLOW = OpticalFlow(window_px=15, levels=2)
 MARGIN_PX = 48  # around the box, so that flow may leave it; more than a person walks in a frame
 CENTRAL_SHARE = 0.5  # the middle of a box, where its depth is read
 CENTRAL_QUANTILE = 0.35  # what stands in a box stands before its background
@@ -84,25 +84,18 @@ class Follower:
         around = _pixels(box.edges, before, MARGIN_PX)
         old, new = _half(before.gray[around]), _half(now.gray[around])
         mask = self._mask(before, box, around)
-        if min(old.shape) < WINDOW_PX[0] or not mask.any():
+        if min(old.shape) < FLOW.window_px or not mask.any():
             return None
         start: Any = cv2.goodFeaturesToTrack(old, MAX_CORNERS, CORNER_QUALITY, CORNER_DISTANCE_PX, mask=mask)
         if start is None:
             return None
-        end, found, _ = cv2.calcOpticalFlowPyrLK(
-            old,
-            new,
-            start,
-            np.empty_like(start),
-            winSize=WINDOW_PX,
-            maxLevel=PYRAMID_LEVELS,
-            criteria=STOP_FLOW,
-        )
-        arrived_px = 2.0 * end.reshape(-1, 2) + np.array([around[1].start, around[0].start])
-        good = (found.ravel() != 0) & self._stays(now, arrived_px, box.depth_m)
+        start = start[:, 0]
+        end, is_found = FLOW.follow(old, new, start)
+        arrived_px = 2.0 * end + np.array([around[1].start, around[0].start])
+        good = is_found & self._stays(now, arrived_px, box.depth_m)
         if np.count_nonzero(good) < max(self.min_points, 1):
             return None
-        return np.asarray(2.0 * np.median((end - start).reshape(-1, 2)[good], axis=0), dtype=np.float64)
+        return np.asarray(2.0 * np.median((end - start)[good], axis=0), dtype=np.float64)
 
     def _mask(self, image: RgbdImage, box: FollowedBox, around: tuple[slice, slice]) -> U8:
         """Return where in the halved surroundings of a box the thing in it is, as cv2 wants it."""
@@ -114,9 +107,9 @@ class Follower:
 
     def _stays(self, now: RgbdImage, points_px: Floats, depth_m: float) -> Bool:
         """Tell which points (N, 2) lie in the image and, where depth is known, near the depth of the box."""
-        column, row = np.rint(points_px).astype(np.int64).T
-        within = (column >= 0) & (column < now.width) & (row >= 0) & (row < now.height)
-        at = now.depth_m[np.clip(row, 0, now.height - 1), np.clip(column, 0, now.width - 1)]
+        nearest = np.rint(points_px)
+        within = np.all((nearest >= 0) & (nearest < (now.width, now.height)), axis=1)
+        at = values_at(now.depth_m, points_px)
         return np.asarray(within & ((at <= 0.0) | (depth_m == 0.0) | self._near(at, depth_m)))
 
     def _near(self, depth: F32, depth_m: float) -> Bool:

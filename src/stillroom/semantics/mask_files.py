@@ -15,6 +15,7 @@ from stillroom.data.image import RgbdImage
 from stillroom.data.semantics import Box, Instance, Semantics, nothing, union_of
 from stillroom.errors import ConfigError, DatasetError
 from stillroom.geometry.arrays import U8, Ints
+from stillroom.geometry.growing import Shape, grown
 from stillroom.protocols import Parts, Segmenter
 
 SUFFIXES = {".png", ".bmp", ".tif", ".tiff", ".pgm", ".webp"}  # without loss; JPEG blurs labels
@@ -99,15 +100,15 @@ class MaskFiles:
             instances = self._instances(np.where(movable, _numbers(np.asarray(pixels)), 0))
             known = Semantics(*size, mask=union_of(instances, *size), instances=instances)
         else:
-            known = Semantics(*size, mask=_dilate(movable, self._config.dilate_px) != 0)
+            known = Semantics(*size, mask=grown(movable != 0, self._config.dilate_px, Shape.ELLIPSE))
         return replace(known, boxes=_boxes(known.objects, self._config.min_box_px)) if self._config.boxes else known
 
     def _instances(self, numbers: Ints) -> tuple[Instance, ...]:
         """Return the object of each number but 0 in an image of numbers (H, W), grown."""
         found = []
         for number in np.unique(numbers[numbers > 0]).tolist():
-            own = _dilate((numbers == number).astype(np.uint8), self._config.dilate_px)
-            found.append(Instance.of(own != 0, LABEL))
+            own = grown(np.asarray(numbers == number), self._config.dilate_px, Shape.ELLIPSE)
+            found.append(Instance.of(own, LABEL))
         return tuple(found)
 
     def _find(self, image: RgbdImage) -> Path | None:
@@ -156,13 +157,6 @@ def _list_masks(folder: Path) -> tuple[dict[int, Path], dict[float, Path]]:
             f"{folder}: no masks in it; expected <timestamp>.png or <index>.png ({', '.join(sorted(SUFFIXES))})"
         )
     return by_index, by_time
-
-
-def _dilate(movable: U8, radius_px: int) -> U8:
-    if radius_px == 0:
-        return movable
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius_px + 1, 2 * radius_px + 1))
-    return np.asarray(cv2.dilate(movable, disc), dtype=np.uint8)
 
 
 def _numbers(pixels: Ints) -> Ints:

@@ -7,7 +7,7 @@ from stillroom.data.map import Map
 from stillroom.data.matches import Matches
 from stillroom.data.result import Tracked
 from stillroom.features.matching import Queries, Targets, consistent_rotation, match_anywhere, search_windows
-from stillroom.features.projection import project_points
+from stillroom.features.projection import Window, search_around
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64, I32, Bool
 
@@ -91,28 +91,9 @@ def with_points(
     Returns:
         The matches, and the points (V,) that should have been visible.
     """
-    points = world.points
-    projection = project_points(
-        T_cam_world,
-        frame.camera,
-        world.scales.factors,
-        points.position_m[ids],
-        points.normal[ids],
-        points.min_distance_m[ids],
-        points.max_distance_m[ids],
-    )
-    visible = np.flatnonzero(projection.visible)
-    ids, octave = ids[visible], projection.octave[visible]
     # ORB-SLAM2: a point seen almost head-on is looked for more narrowly.
-    window_px = np.where(projection.view_cos[visible] > 0.998, 2.5, 4.0) * widen
-    queries = Queries(
-        projection.px[visible],
-        (window_px * world.scales.factors[octave]).astype(np.float32),
-        octave - 1,
-        octave,
-        projection.right_px[visible],
-        points.descriptors[ids],
-    )
-    query, target = search_windows(queries, targets_of(frame, free & frame.is_static), ratio=ratio)
-    unknown_px = np.full((len(query), 2), np.nan, dtype=np.float32)
-    return Matches(target, ids[query], unknown_px), ids
+    window = Window(4.0 * widen, head_on_px=2.5 * widen, levels_above=0, ratio=ratio)
+    targets = targets_of(frame, free & frame.is_static)
+    found = search_around(ids, T_cam_world, frame.camera, world, targets, window)
+    unknown_px = np.full((len(found.target), 2), np.nan, dtype=np.float32)
+    return Matches(found.target, found.point_ids, unknown_px), found.visible

@@ -79,7 +79,7 @@ class KeyframePolicy:
     def _close_needed(self, tracked: Tracked) -> bool:
         depth_m = tracked.frame.keypoints.depth_m
         close = (depth_m > 0) & (depth_m < self.config.th_depth * tracked.frame.camera.baseline_m)
-        close &= tracked.motion.is_static & tracked.frame.is_static
+        close &= tracked.is_static
         n_tracked = int(np.count_nonzero(close & tracked.is_matched))
         n_untracked = int(np.count_nonzero(close & ~tracked.is_matched))
         return n_tracked < self.config.min_tracked_close and n_untracked > self.config.max_untracked_close

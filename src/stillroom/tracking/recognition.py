@@ -8,12 +8,11 @@ import numpy as np
 from stillroom.data.frame import Frame
 from stillroom.data.map import Map
 from stillroom.data.matches import Matches
-from stillroom.features.matching import Queries, consistent_rotation, search_windows
+from stillroom.features.matching import consistent_rotation
 from stillroom.features.places.branch_matching import match_by_branch
 from stillroom.features.places.vocabulary import Bag
-from stillroom.features.projection import project_points
+from stillroom.features.projection import Window, search_around
 from stillroom.geometry.arrays import F64, I32, Bool
-from stillroom.geometry.camera import Camera
 from stillroom.optimize import measurements
 from stillroom.optimize.pose import PoseOptimizerConfig
 from stillroom.protocols import Parts
@@ -134,7 +133,7 @@ class Recognizer:
         """Look for more of the points (P,) where the pose says they are, and fit it to all of them."""
         missing = ids[~np.isin(ids, found.point_ids)]
         more = around_projections(
-            frame, found.T_cam_world, missing, found.point_ids < 0, radius_px, max_bits, frame.camera, world
+            frame, found.T_cam_world, missing, found.point_ids < 0, Window(radius_px, max_bits=max_bits), world
         )
         point_ids = found.point_ids.copy()
         point_ids[more.keypoint] = more.point_id
@@ -156,40 +155,12 @@ def by_words(frame: Frame, bag: Bag, keyframe: int, nodes: I32, world: Map) -> M
     return Matches(mine, point[theirs], world.keypoints.px[rows][theirs]).keep(steady)
 
 
-def around_projections(
-    frame: Frame,
-    T_cam_world: F64,
-    ids: I32,
-    free: Bool,
-    radius_px: float,
-    max_bits: int,
-    camera: Camera,
-    world: Map,
-) -> Matches:
+def around_projections(frame: Frame, T_cam_world: F64, ids: I32, free: Bool, window: Window, world: Map) -> Matches:
     """Look for points (P,) among the free keypoints (N,) near where they should be under a pose (4, 4)."""
-    points = world.points
-    projection = project_points(
-        T_cam_world,
-        camera,
-        world.scales.factors,
-        points.position_m[ids],
-        points.normal[ids],
-        points.min_distance_m[ids],
-        points.max_distance_m[ids],
-    )
-    visible = np.flatnonzero(projection.visible)
-    octave = projection.octave[visible]
-    queries = Queries(
-        projection.px[visible],
-        (radius_px * world.scales.factors[octave]).astype(np.float32),
-        octave - 1,
-        octave + 1,
-        projection.right_px[visible],
-        points.descriptors[ids[visible]],
-    )
-    query, target = search_windows(queries, targets_of(frame, free & frame.is_static), max_bits=max_bits)
-    unknown_px = np.full((len(query), 2), np.nan, dtype=np.float32)
-    return Matches(target, ids[visible][query], unknown_px)
+    targets = targets_of(frame, free & frame.is_static)
+    found = search_around(ids, T_cam_world, frame.camera, world, targets, window)
+    unknown_px = np.full((len(found.target), 2), np.nan, dtype=np.float32)
+    return Matches(found.target, found.point_ids, unknown_px)
 
 
 def solve_pnp(

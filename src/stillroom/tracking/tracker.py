@@ -106,10 +106,11 @@ class Tracker:
         nothing = np.full(len(frame), -1, dtype=np.int32)
         T_world_cam = submaps.origin(world.n_submaps)
         motion = self.sieve.judge(Question(Stage.LOCAL_MAP, frame, Matches.of(nothing), semantics, T_world_cam, world))
-        usable = frame.is_static & motion.is_static & (frame.keypoints.depth_m > 0)
+        started = Tracked(frame, TrackingState.OK, T_world_cam, nothing, motion)
+        usable = started.is_static & (frame.keypoints.depth_m > 0)
         if usable.sum() < self.config.min_initial_keypoints:
-            return Tracked(frame, TrackingState.NOT_INITIALIZED, None, nothing, motion)
-        return Tracked(frame, TrackingState.OK, T_world_cam, nothing, motion)
+            return replace(started, state=TrackingState.NOT_INITIALIZED, T_world_cam=None)
+        return started
 
     def locate(
         self,

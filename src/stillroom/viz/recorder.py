@@ -73,9 +73,8 @@ class PictureRecorder:
         if kind == CLUSTERS:
             clusters = semantics.clusters
             return None if clusters is None else draw_clusters(rgb, clusters, semantics, motion.moving, scale)
-        is_static = frame.is_static & motion.is_static
         raw_px, is_matched = frame.keypoints.raw_px, tracked.is_matched
-        return draw_verdict(rgb, raw_px, is_static, is_matched, semantics, motion.moving, scale)
+        return draw_verdict(rgb, raw_px, tracked.is_static, is_matched, semantics, motion.moving, scale)
 
     def _wants(self, index: int) -> bool:
         return index in self._frames or (self._config.every > 0 and index % self._config.every == 0)

@@ -11,7 +11,7 @@ from stillroom.data.cloud.dense_cloud import DenseCloud
 from stillroom.data.image import RgbdImage
 from stillroom.data.map import Map
 from stillroom.datasets.open import open_dataset
-from stillroom.dense.inpainting.painter import BackgroundPainter, InpaintingConfig, Painted, widened
+from stillroom.dense.inpainting.painter import BackgroundPainter, InpaintingConfig, Painted
 from stillroom.errors import ConfigError
 from stillroom.geometry import se3
 from stillroom.geometry.camera import Camera
@@ -147,9 +147,10 @@ def test_narrow_holes_take_the_colours_around_and_stay_marked() -> None:
 
 
 def test_the_margin_goes_around() -> None:
-    assert widened(FIGURE, 6)[94:406, 244:386].all()
-    assert widened(FIGURE, 6).sum() == 312 * 142
-    assert widened(FIGURE, 0) is not FIGURE
+    image = painted_wall(CAMERA, pose())
+    painted = InpaintingConfig(margin_px=6).build(CAMERA).paint(image, pose(), FIGURE, Map(SCALES))
+    assert painted.is_hole[94:406, 244:386].all()
+    assert painted.is_hole.sum() == 312 * 142
 
 
 @pytest.mark.parametrize(

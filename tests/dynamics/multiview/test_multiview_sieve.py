@@ -19,10 +19,11 @@ from stillroom.data.semantics import Box, Instance, Semantics
 from stillroom.datasets.open import open_dataset
 from stillroom.datasets.selection import select
 from stillroom.dynamics.multiview.presets import CodeMultiViewConfig, PaperMultiViewConfig
-from stillroom.dynamics.multiview.sieve import MultiViewConfig, MultiViewSieve, dilated, without_found
+from stillroom.dynamics.multiview.sieve import MultiViewConfig, MultiViewSieve, without_found
 from stillroom.dynamics.multiview.views import KeyframesConfig, KeyframeViews
 from stillroom.errors import ConfigError
 from stillroom.geometry import se3
+from stillroom.geometry.growing import Shape, grown
 from stillroom.schedule import Done
 from stillroom.system import build
 
@@ -205,7 +206,7 @@ def test_network_geometry_and_both() -> None:
     assert not (g.moving & n.moving).any()
     wide, _ = asked(MultiViewConfig(), semantics)
     # The segmenter has grown its own mask.
-    np.testing.assert_array_equal(wide.moving, n.moving | dilated(g.moving, MultiViewConfig().dilation_px))
+    np.testing.assert_array_equal(wide.moving, n.moving | grown(g.moving, MultiViewConfig().dilation_px, Shape.ELLIPSE))
 
 
 def test_geometrys_mask_stands_for_a_networks_of_the_same_thing() -> None:

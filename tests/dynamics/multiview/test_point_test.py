@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from small_world import CAMERA, pose
 
-from stillroom.dynamics.multiview.geometry import lens_of, offsets, rays_of
+from stillroom.dynamics.multiview.geometry import offsets, rays_of
 from stillroom.dynamics.multiview.kernels import (
     AGREES,
     BORDER,
@@ -21,6 +21,7 @@ from stillroom.dynamics.multiview.kernels import (
     UNSEEN,
     Growth,
     Here,
+    Judged,
     Limits,
     Points,
     There,
@@ -115,7 +116,7 @@ def scene(camera: Camera, n: int) -> tuple[Here, There, Points, np.ndarray, np.n
     small_m = np.stack([terraces(2 + k, (120, 160), 8) for k in range(2)])
     # Some keyframes saw farther: what stands here now is then confirmed.
     small_m[:, :, 60:] += np.float32(0.8) * (small_m[:, :, 60:] > 0)
-    here = Here(depth_m, rays_of(camera), HERE, lens_of(camera))
+    here = Here(depth_m, rays_of(camera), HERE, camera.lens)
     T_cam_world = se3.inverse(VIEWS)
     centres_m = np.stack(
         [se3.transform(T, np.stack((V[:3, 3], HERE[:3, 3]))) for T, V in zip(T_cam_world, VIEWS, strict=True)]
@@ -135,7 +136,7 @@ def test_a_point_is_judged_as_by_plain_words(camera: Camera) -> None:
     here, there, points, small_m, depth_m = scene(camera, n)
     project(points, there, here.lens, camera.height, camera.width)
     verdict, before_px = np.full(n, UNSEEN, np.uint8), np.full((n, 2), -1, np.int32)
-    judge_points(np.arange(n), points, here, there, WINDOW, LIMITS, verdict, before_px)
+    judge_points(np.arange(n), points, here, there, WINDOW, LIMITS, Judged(verdict, before_px))
     expected = np.empty(n, np.uint8)
     for i in range(n):
         k = points.seen_in[i]
@@ -156,9 +157,9 @@ def test_only_chosen_points_are_judged() -> None:
     project(points, there, here.lens, CAMERA.height, CAMERA.width)
     everything, some = np.full(500, 99, np.uint8), np.full(500, 99, np.uint8)
     before_px = np.full((500, 2), -1, np.int32)
-    judge_points(np.arange(500), points, here, there, WINDOW, LIMITS, everything, before_px)
+    judge_points(np.arange(500), points, here, there, WINDOW, LIMITS, Judged(everything, before_px))
     chosen = np.arange(3, 500, 7)
-    judge_points(chosen, points, here, there, WINDOW, LIMITS, some, before_px)
+    judge_points(chosen, points, here, there, WINDOW, LIMITS, Judged(some, before_px))
     np.testing.assert_array_equal(some[chosen], everything[chosen])
     assert np.all(np.delete(some, chosen) == 99)
 
@@ -208,7 +209,7 @@ def test_regions_grow_as_a_plain_search_grows_them(growth: Growth) -> None:
     depth_m = 1.5 + 0.004 * column + 0.5 * ((row // 30 + column // 40) % 2) + rng.normal(0, 0.01, (120, 160))
     depth_m = np.where(rng.random(depth_m.shape) < 0.1, 0.0, depth_m).astype(np.float32)
     seeds = np.stack((rng.integers(0, 160, 25), rng.integers(0, 60, 25)), axis=1).astype(np.int32)
-    here = Here(depth_m, np.zeros((120, 160, 2), np.float32), np.eye(4), lens_of(CAMERA))
+    here = Here(depth_m, np.zeros((120, 160, 2), np.float32), np.eye(4), CAMERA.lens)
     there = There(np.zeros((0, 1, 1, 3), np.float32), np.zeros((0, 4, 4)), np.zeros((0, 4, 4)), np.zeros((0, 2, 3)))
     region = np.zeros(depth_m.shape, np.uint8)
     grow(seeds, here, there, growth, LIMITS, np.empty((depth_m.size, 2), np.int32), region)
@@ -222,7 +223,7 @@ def test_regions_stop_at_what_keyframes_saw_there() -> None:
     depth_m = np.full((240, 320), 2.0, np.float32)  # every second pixel
     before = np.full((120, 160), 3.0, np.float32)  # the wall behind ...
     before[90:] = 2.0  # ... and what the figure's feet stand on
-    here = Here(depth_m, rays_of(CAMERA, 2), np.eye(4), lens_of(CAMERA))
+    here = Here(depth_m, rays_of(CAMERA, 2), np.eye(4), CAMERA.lens)
     views = np.stack([with_neighbours(before)] * 3)
     there = There(views, np.stack([np.eye(4)] * 3), np.stack([np.eye(4)] * 3), np.zeros((3, 2, 3)))
     region = np.zeros(depth_m.shape, np.uint8)

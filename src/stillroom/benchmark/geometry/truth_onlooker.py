@@ -2,12 +2,13 @@
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 from stillroom.data.result import FrameResult, Tracked
 from stillroom.data.semantics import Semantics
 from stillroom.geometry.arrays import Bool
+from stillroom.geometry.growing import Shape, grown
+from stillroom.geometry.pixels import values_at
 from stillroom.protocols import RenderedDataset
 
 CLEAR_PX = 6
@@ -76,12 +77,10 @@ class TruthOnlooker:
             return
         frame = tracked.frame
         moving, handled = self._things.at(frame.image.index)
-        side = 2 * CLEAR_PX + 1
-        clear = cv2.dilate(moving.view(np.uint8), np.ones((side, side), dtype=np.uint8)) == 0
-        column, row = np.rint(frame.keypoints.raw_px).astype(np.int64).T
-        said = ~(frame.is_static & tracked.motion.is_static)
+        clear = ~grown(moving, CLEAR_PX, Shape.SQUARE)
+        said = ~tracked.is_static
         for count, where in ((self.moving, moving), (self.handled, handled), (self.static, clear)):
-            count.add(said[where[row, column]])
+            count.add(said[values_at(where, frame.keypoints.raw_px)])
         known = frame.image.depth_m > 0
         self.handled_pixels.add(tracked.motion.moving[handled & known])
         self.static_pixels.add(tracked.motion.moving[clear & known])

@@ -2,9 +2,8 @@
 
 from dataclasses import dataclass, field
 
-import numpy as np
-
 from stillroom.geometry.arrays import F32, I16, I32, Floats
+from stillroom.geometry.pixels import values_at
 
 UNKNOWN = -1
 """Label of a pixel without depth, out of range, or in a clump too small for a cluster."""
@@ -40,7 +39,4 @@ class Clusters:
 
     def labels_at(self, raw_px: Floats) -> I16:
         """Return the labels (N,) at points (N, 2) of the image as taken [px]."""
-        height, width = self.labels.shape
-        column = np.clip(np.rint(raw_px[:, 0]).astype(np.int64), 0, width - 1)
-        row = np.clip(np.rint(raw_px[:, 1]).astype(np.int64), 0, height - 1)
-        return np.asarray(self.labels[row, column], dtype=np.int16)
+        return values_at(self.labels, raw_px)

@@ -1,42 +1,82 @@
 """Loops over the pixels of keyframes that are brought into another image."""
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 
 from stillroom.geometry.arrays import F32, F64, I64, U8
+from stillroom.geometry.camera import Lens
+from stillroom.geometry.distortion import distorted
 
 LEAST_SHARE = 0.05
 """A pixel takes part of a point when at least this share of it falls on it."""
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
-def distorted(x: float, y: float, lens: F64) -> tuple[float, float]:
-    """Return the pixel, as taken, of a ray at unit depth; the lens is fx fy cx cy k1 k2 p1 p2 k3 (9,)."""
-    k1, k2, p1, p2, k3 = lens[4], lens[5], lens[6], lens[7], lens[8]
-    r2 = x * x + y * y
-    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    u = lens[0] * (x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)) + lens[2]
-    v = lens[1] * (y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y) + lens[3]
-    return u, v
+class Surface(NamedTuple):
+    """The surfaces that a keyframe saw.
 
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def splat_depth(
-    depth_m: F32, rays: F32, window: I64, T_here_there: F64, lens: F64, min_depth_m: float, wanted: U8, nearest_m: F32
-) -> None:
-    """Keep in `nearest_m` (H, W) the nearest depth that a keyframe brings to each wanted pixel.
-
-    Args:
+    Attributes:
         depth_m: The keyframe's usable depths (H, W); 0 elsewhere.
         rays: Rays of the pixels at unit depth (H, W, 2).
         window: First row, last row, first column, last column, each last one excluded, to look at (4,).
         T_here_there: Pose of the keyframe's camera in the present one (4, 4).
-        lens: See `distorted`.
+    """
+
+    depth_m: F32
+    rays: F32
+    window: I64
+    T_here_there: F64
+
+
+class Paint(NamedTuple):
+    """The colours that a keyframe saw.
+
+    Attributes:
+        rgb: They (H, W, 3).
+        gain: What red, green and blue are multiplied by (3,).
+        weight: Of this keyframe.
+    """
+
+    rgb: U8
+    gain: F32
+    weight: float
+
+
+class Cubes(NamedTuple):
+    """The points (N, 3) [m, world] of a dense map, their colours (N, 3), and the edge of each one's cube [m]."""
+
+    positions_m: F32
+    colours: U8
+    size_m: float
+
+
+class Canvas(NamedTuple):
+    """What is drawn into.
+
+    Attributes:
+        is_hole: Where to draw (H, W), 0 or 1; drawn pixels become 2.
+        rgb, depth_m: The picture (H, W, 3) and (H, W).
+    """
+
+    is_hole: U8
+    rgb: U8
+    depth_m: F32
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def splat_depth(surface: Surface, lens: Lens, min_depth_m: float, wanted: U8, nearest_m: F32) -> None:
+    """Keep in `nearest_m` (H, W) the nearest depth that a keyframe brings to each wanted pixel.
+
+    Args:
+        surface: What the keyframe saw.
+        lens: Of the camera.
         min_depth_m: Nearer than this is not believed.
         wanted: Which pixels are to be painted (H, W), 0 or 1.
         nearest_m: Depths so far; infinite where nothing was brought.
     """
-    T, (height, width) = T_here_there, depth_m.shape
+    depth_m, rays, window, T = surface
+    height, width = depth_m.shape
     for row in range(window[0], window[1]):
         for column in range(window[2], window[3]):
             d = float(depth_m[row, column])
@@ -48,7 +88,7 @@ def splat_depth(
                 continue
             x = (T[0, 0] * X + T[0, 1] * Y + T[0, 2] * d + T[0, 3]) / z
             y = (T[1, 0] * X + T[1, 1] * Y + T[1, 2] * d + T[1, 3]) / z
-            u, v = distorted(x, y, lens)
+            u, v = distorted(lens, x, y)
             if not (u >= 0.0 and v >= 0.0 and u < width - 1 and v < height - 1):
                 continue
             left, top = int(u), int(v)
@@ -61,31 +101,20 @@ def splat_depth(
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def splat_colour(
-    rgb: U8,
-    depth_m: F32,
-    rays: F32,
-    window: I64,
-    T_here_there: F64,
-    lens: F64,
-    min_depth_m: float,
-    same_share: float,
-    weight: float,
-    gain: F32,
-    nearest_m: F32,
-    total: F32,
+    surface: Surface, paint: Paint, lens: Lens, min_depth_m: float, same_share: float, nearest_m: F32, total: F32
 ) -> None:
     """Add a keyframe's colours and depths to the pixels whose nearest surface they show, by bilinear shares.
 
     Args:
-        rgb: The keyframe's colours (H, W, 3).
-        depth_m, rays, window, T_here_there, lens, min_depth_m: As in `splat_depth`.
+        surface, lens, min_depth_m: As in `splat_depth`.
+        paint: The keyframe's colours.
         same_share: What lies behind the nearest by no more than this share of its depth is the same surface.
-        weight: Of this keyframe.
-        gain: What its red, green and blue are multiplied by (3,).
         nearest_m: The nearest depths (H, W) of all keyframes; infinite where nothing is wanted.
         total: Sums of red, green, blue, depth and one, weighted, and of one without weights (H, W, 6).
     """
-    T, (height, width) = T_here_there, depth_m.shape
+    depth_m, rays, window, T = surface
+    rgb, gain, weight = paint
+    height, width = depth_m.shape
     for row in range(window[0], window[1]):
         for column in range(window[2], window[3]):
             d = float(depth_m[row, column])
@@ -97,7 +126,7 @@ def splat_colour(
                 continue
             x = (T[0, 0] * X + T[0, 1] * Y + T[0, 2] * d + T[0, 3]) / z
             y = (T[1, 0] * X + T[1, 1] * Y + T[1, 2] * d + T[1, 3]) / z
-            u, v = distorted(x, y, lens)
+            u, v = distorted(lens, x, y)
             if not (u >= 0.0 and v >= 0.0 and u < width - 1 and v < height - 1):
                 continue
             left, top = int(u), int(v)
@@ -116,28 +145,18 @@ def splat_colour(
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def splat_cloud(
-    positions_m: F32,
-    colours: U8,
-    T_cam_world: F64,
-    lens: F64,
-    size_m: float,
-    min_depth_m: float,
-    is_hole: U8,
-    rgb: U8,
-    depth_m: F32,
-) -> None:
-    """Draw the points (N, 3) of a dense map as squares where there are holes, the nearest in front.
+def splat_cloud(cubes: Cubes, T_cam_world: F64, lens: Lens, min_depth_m: float, canvas: Canvas) -> None:
+    """Draw the points of a dense map as squares where there are holes, the nearest in front.
 
     Args:
-        positions_m, colours: The points and their colours (N, 3).
+        cubes: The points.
         T_cam_world: The present pose (4, 4).
-        lens: See `distorted`.
-        size_m: Edge of a point's cube.
+        lens: Of the camera.
         min_depth_m: Nearer than this is not drawn.
-        is_hole: Where to draw (H, W), 0 or 1; drawn pixels become 2.
-        rgb, depth_m: Drawn into, (H, W, 3) and (H, W).
+        canvas: Drawn into.
     """
+    positions_m, colours, size_m = cubes
+    is_hole, rgb, depth_m = canvas
     T, (height, width) = T_cam_world, depth_m.shape
     for i in range(len(positions_m)):
         X, Y, Z = positions_m[i, 0], positions_m[i, 1], positions_m[i, 2]
@@ -148,8 +167,8 @@ def splat_cloud(
         y = (T[1, 0] * X + T[1, 1] * Y + T[1, 2] * Z + T[1, 3]) / z
         if abs(x) > 2.0 or abs(y) > 2.0:
             continue
-        u, v = distorted(x, y, lens)
-        reach = 0.6 * size_m * lens[0] / z
+        u, v = distorted(lens, x, y)
+        reach = 0.6 * size_m * lens.fx / z
         first_row, last_row = max(0, int(np.ceil(v - reach))), min(height - 1, int(np.floor(v + reach)))
         first_column, last_column = max(0, int(np.ceil(u - reach))), min(width - 1, int(np.floor(u + reach)))
         for row in range(first_row, last_row + 1):

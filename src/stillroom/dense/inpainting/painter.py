@@ -11,10 +11,11 @@ from stillroom.data.cloud.dense_cloud import DenseCloud
 from stillroom.data.image import RgbdImage
 from stillroom.data.map import Map
 from stillroom.dense.inpainting.brightness import gains
-from stillroom.dense.inpainting.kernels import splat_cloud, splat_colour, splat_depth
+from stillroom.dense.inpainting.kernels import Canvas, Cubes, Paint, Surface, splat_cloud, splat_colour, splat_depth
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F32, F64, I64, U8, Bool
 from stillroom.geometry.camera import Camera
+from stillroom.geometry.growing import Shape, element, grown
 
 NEAR_M, FAR_M = 0.5, 10.0
 BESIDE_PX = 24
@@ -90,7 +91,7 @@ class BackgroundPainter:
     def __init__(self, config: InpaintingConfig, camera: Camera) -> None:
         """Start without keyframes."""
         self.config = config
-        self._lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion], dtype=np.float64)
+        self._lens = camera.lens
         self._camera = camera
         self._rays = _rays(camera)
         self._seen: deque[_Seen] = deque(maxlen=config.keyframes)
@@ -101,7 +102,7 @@ class BackgroundPainter:
 
     def remember(self, keyframe: int, image: RgbdImage, moving: Bool) -> None:
         """Keep a keyframe of the map, without what moves in it (H, W)."""
-        usable = ~widened(moving, self.config.margin_px)
+        usable = ~grown(moving, self.config.margin_px, Shape.SQUARE)
         self._seen.append(_Seen(keyframe, image.rgb, np.where(usable, image.depth_m, np.float32(0))))
 
     def paint(
@@ -116,7 +117,7 @@ class BackgroundPainter:
             world: The map, which knows where the keyframes are.
             cloud: The dense map, for what no keyframe saw.
         """
-        moving = widened(moving, self.config.margin_px)
+        moving = grown(moving, self.config.margin_px, Shape.SQUARE)
         rgb, depth_m = image.rgb.copy(), image.depth_m.copy()
         rgb[moving], depth_m[moving] = self.config.hole_grey, 0
         is_filled = np.zeros_like(moving)
@@ -136,17 +137,14 @@ class BackgroundPainter:
         views = [(seen, se3.inverse(T_world_cam) @ world.keyframe_pose(seen.keyframe)) for seen in self._seen]
         nearest_m = np.full(wanted.shape, np.inf, dtype=np.float32)
         total = np.zeros((*wanted.shape, 6), dtype=np.float32)
-        windows = [self._window(wanted, T_here_there) for _, T_here_there in views]
+        surfaces = [Surface(seen.depth_m, self._rays, self._window(wanted, T), T) for seen, T in views]
         lens, least_m = self._lens, self.config.min_depth_m
-        for (seen, T_here_there), window in zip(views, windows, strict=True):
-            splat_depth(seen.depth_m, self._rays, window, T_here_there, lens, least_m, wanted.view(np.uint8), nearest_m)
+        for surface in surfaces:
+            splat_depth(surface, lens, least_m, wanted.view(np.uint8), nearest_m)
         weights = self._weights([T_here_there for _, T_here_there in views])
-        for (seen, T), window, weight in zip(views, windows, weights, strict=True):
-            gain = self._gain(seen, T, image, wanted)
-            same = self.config.same_share
-            splat_colour(
-                seen.rgb, seen.depth_m, self._rays, window, T, lens, least_m, same, weight, gain, nearest_m, total
-            )
+        for (seen, T), surface, weight in zip(views, surfaces, weights, strict=True):
+            paint = Paint(seen.rgb, self._gain(seen, T, image, wanted), weight)
+            splat_colour(surface, paint, lens, least_m, self.config.same_share, nearest_m, total)
         return total
 
     def _gain(self, seen: _Seen, T_here_there: F64, image: RgbdImage, wanted: Bool) -> F32:
@@ -184,33 +182,18 @@ class BackgroundPainter:
     def _from_cloud(self, cloud: DenseCloud, holes: Bool, T_world_cam: F64, rgb: U8, depth_m: F32) -> Bool:
         """Draw the dense map into holes (H, W), colours and depths in place; return where."""
         state = holes.astype(np.uint8)
-        splat_cloud(
-            np.ascontiguousarray(cloud.positions_m, dtype=np.float32),
-            np.ascontiguousarray(cloud.rgb),
-            se3.inverse(T_world_cam),
-            self._lens,
-            cloud.voxel_m,
-            self.config.min_depth_m,
-            state,
-            rgb,
-            depth_m,
-        )
+        positions_m = np.ascontiguousarray(cloud.positions_m, dtype=np.float32)
+        cubes = Cubes(positions_m, np.ascontiguousarray(cloud.rgb), cloud.voxel_m)
+        T_cam_world, canvas = se3.inverse(T_world_cam), Canvas(state, rgb, depth_m)
+        splat_cloud(cubes, T_cam_world, self._lens, self.config.min_depth_m, canvas)
         return np.asarray(state == 2)
-
-
-def widened(mask: Bool, reach_px: int) -> Bool:
-    """Return a mask (H, W) grown by a square of this reach; an array of its own."""
-    if reach_px <= 0 or not mask.any():
-        return mask.copy()
-    square = np.ones((2 * reach_px + 1, 2 * reach_px + 1), dtype=np.uint8)
-    return np.asarray(cv2.dilate(mask.view(np.uint8), square)).view(np.bool_)
 
 
 def _closed(rgb: U8, holes: Bool, reach_px: int) -> U8:
     """Return an image (H, W, 3) whose narrow holes (H, W) have the colours around them."""
     if reach_px <= 0 or not holes.any():
         return rgb
-    square = np.ones((2 * reach_px + 1, 2 * reach_px + 1), dtype=np.uint8)
+    square = element(reach_px, Shape.SQUARE)
     # What lies beyond the edge of the image is no hole.
     border = cv2.BORDER_CONSTANT
     wide = cv2.morphologyEx(holes.view(np.uint8), cv2.MORPH_OPEN, square, borderType=border, borderValue=0)

@@ -1,13 +1,63 @@
 """What depth rays say of voxels: hit, passed, or nothing. Passes since the last hits decide what is still there."""
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 
 from stillroom.dense.voxels.fusing_kernels import BLOCK, FINE, PLACE, SCORE, VOIDED_AT, WEIGHT
 from stillroom.dense.voxels.hash_kernels import AXIS_BITS, AXIS_MASK, HALF
 from stillroom.geometry.arrays import F32, F64, I32, I64, U8, U16, Bool
+from stillroom.geometry.camera import Lens
+from stillroom.geometry.distortion import distorted
 
 NOTHING, HIT, PASSED = 0, 1, 2
+
+
+class DepthView(NamedTuple):
+    """A small depth image, and where it was taken.
+
+    Attributes:
+        T_cam_world: Its pose (4, 4).
+        lens: Of the whole image.
+        views: Of each pixel (h, w, 3): its depth, odd where it shows what moves, 0 where unknown; the nearest and the
+            farthest depth of it and its eight neighbours, 0 where all are unknown.
+    """
+
+    T_cam_world: F64
+    lens: Lens
+    views: U16
+
+
+class Seeing(NamedTuple):
+    """How small depth images are read.
+
+    Attributes:
+        unit_m: One unit of depth.
+        stride: Of the small image.
+        tolerance_m, share: Depths agree within the larger of the first and this share of the depth.
+    """
+
+    unit_m: float
+    stride: int
+    tolerance_m: float
+    share: float
+
+
+class Scoring(NamedTuple):
+    """What a hit counts, where a pass counts 1; and the lowest and highest score."""
+
+    hit: int
+    lowest: int
+    highest: int
+
+
+class Voxels(NamedTuple):
+    """Keys (N,) and columns of the rows of a map, and the edge of its voxels [m]."""
+
+    key: I64
+    rows: I32
+    voxel_m: float
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -22,30 +72,9 @@ def position(key: int, row: int, rows: I32, voxel_m: float) -> tuple[float, floa
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def look(
-    X: float,
-    Y: float,
-    Z: float,
-    T: F64,
-    lens: F64,
-    views: U16,
-    unit_m: float,
-    stride: int,
-    tolerance_m: float,
-    share: float,
-) -> int:
-    """Ask a small depth image about a point of the world.
-
-    Args:
-        X, Y, Z: The point [m].
-        T: `T_cam_world` (4, 4).
-        lens: fx fy cx cy k1 k2 p1 p2 k3 (9,).
-        views: Of each pixel (h, w, 3): its depth, odd where it shows what moves, 0 where unknown; the nearest and the
-            farthest depth of it and its eight neighbours, 0 where all are unknown.
-        unit_m: One unit of depth.
-        stride: Of the small image.
-        tolerance_m, share: Depths agree within the larger of the first and this share of the depth.
-    """
+def look(X: float, Y: float, Z: float, view: DepthView, seeing: Seeing) -> int:
+    """Return what a small depth image says of a point of the world [m]: NOTHING, HIT or PASSED."""
+    T, views, unit_m = view.T_cam_world, view.views, seeing.unit_m
     z = T[2, 0] * X + T[2, 1] * Y + T[2, 2] * Z + T[2, 3]
     if z <= 0.1:
         return NOTHING
@@ -55,20 +84,18 @@ def look(
     r2 = x * x + y * y
     if r2 > 4.0:
         return NOTHING
-    radial = 1.0 + r2 * (lens[4] + r2 * (lens[5] + r2 * lens[8]))
-    u = lens[0] * (x * radial + 2.0 * lens[6] * x * y + lens[7] * (r2 + 2.0 * x * x)) + lens[2]
-    v = lens[1] * (y * radial + lens[6] * (r2 + 2.0 * y * y) + 2.0 * lens[7] * x * y) + lens[3]
+    u, v = distorted(view.lens, x, y)
     if not (u >= -0.5 and v >= -0.5):
         return NOTHING
     height, width = views.shape[:2]
-    finer = 1.0 / stride
+    finer = 1.0 / seeing.stride
     if u * finer >= width or v * finer >= height:
         return NOTHING
     column, row = min(int(u * finer + 0.5), width - 1), min(int(v * finer + 0.5), height - 1)
     units = views[row, column, 0]
     if units == 0:
         return NOTHING
-    tolerance = max(tolerance_m, share * z)
+    tolerance = max(seeing.tolerance_m, seeing.share * z)
     nearest, farthest = views[row, column, 1], views[row, column, 2]
     if nearest * unit_m > z + tolerance:
         return PASSED
@@ -86,46 +113,29 @@ def _is_surface(units: int, z: float, unit_m: float, tolerance: float) -> bool:
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def judge_in_view(
-    is_near: Bool,
-    row_key: I64,
-    rows: I32,
-    now: int,
-    voxel_m: float,
-    T_cam_world: F64,
-    lens: F64,
-    views: U16,
-    unit_m: float,
-    stride: int,
-    tolerance_m: float,
-    share: float,
-    gain: int,
-    limits: tuple[int, int],
-) -> int:
+def judge_in_view(is_near: Bool, voxels: Voxels, now: int, view: DepthView, seeing: Seeing, scoring: Scoring) -> int:
     """Let a depth image judge all voxels with weight in the blocks (B,) that are near; return how many were voided.
 
     A hit raises a voxel's score, a pass lowers it, both within limits. A pass at the lower limit voids the voxel.
 
     Args:
         is_near: Of each block.
-        row_key, rows: Keys (N,) and columns of the rows.
+        voxels: All of the map; scores are written.
         now: Time that voided voxels are marked with.
-        voxel_m: Edge of a voxel.
-        T_cam_world, lens, views, unit_m, stride, tolerance_m, share: See `look`.
-        gain: What a hit counts; a pass counts 1.
-        limits: Lowest and highest score.
+        view, seeing: The image and how it is read.
+        scoring: What it counts.
     """
-    n_voided = 0
-    for i in range(len(row_key)):
+    n_voided, rows = 0, voxels.rows
+    for i in range(len(voxels.key)):
         if rows[i, WEIGHT] == 0 or not is_near[rows[i, BLOCK]]:
             continue
-        X, Y, Z = position(row_key[i], i, rows, voxel_m)
-        answer = look(X, Y, Z, T_cam_world, lens, views, unit_m, stride, tolerance_m, share)
+        X, Y, Z = position(voxels.key[i], i, rows, voxels.voxel_m)
+        answer = look(X, Y, Z, view, seeing)
         score = rows[i, SCORE]
         if answer == HIT:
-            rows[i, SCORE] = min(limits[1], score + gain)
+            rows[i, SCORE] = min(scoring.highest, score + scoring.hit)
         elif answer == PASSED:
-            if score > limits[0]:
+            if score > scoring.lowest:
                 rows[i, SCORE] = score - 1
             else:
                 for k in range(SCORE):
@@ -137,19 +147,7 @@ def judge_in_view(
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def judge_rows(
-    chosen: I32,
-    positions_m: F32,
-    rows: I32,
-    T_cam_world: F64,
-    lens: F64,
-    views: U16,
-    unit_m: float,
-    stride: int,
-    tolerance_m: float,
-    share: float,
-    gain: int,
-    limits: tuple[int, int],
-    heard: Bool,
+    chosen: I32, positions_m: F32, rows: I32, view: DepthView, seeing: Seeing, scoring: Scoring, heard: Bool
 ) -> None:
     """Let a depth image judge chosen rows (M,) at positions (M, 3), and note of which it said something (M,).
 
@@ -157,31 +155,22 @@ def judge_rows(
     """
     for i in range(len(chosen)):
         X, Y, Z = positions_m[i]
-        answer = look(X, Y, Z, T_cam_world, lens, views, unit_m, stride, tolerance_m, share)
+        answer = look(X, Y, Z, view, seeing)
         row = chosen[i]
         heard[i] |= answer != NOTHING
         if answer == HIT:
-            rows[row, SCORE] = min(limits[1], rows[row, SCORE] + gain)
+            rows[row, SCORE] = min(scoring.highest, rows[row, SCORE] + scoring.hit)
         elif answer == PASSED:
-            rows[row, SCORE] = max(limits[0], rows[row, SCORE] - 1)
+            rows[row, SCORE] = max(scoring.lowest, rows[row, SCORE] - 1)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def answers(
-    positions_m: F32,
-    T_cam_world: F64,
-    lens: F64,
-    views: U16,
-    unit_m: float,
-    stride: int,
-    tolerance_m: float,
-    share: float,
-) -> U8:
-    """Return what a depth image says of points (M, 3) [m, world], (M,). Arguments as of `look`."""
+def answers(positions_m: F32, view: DepthView, seeing: Seeing) -> U8:
+    """Return what a depth image says of points (M, 3) [m, world], (M,); see `look`."""
     said = np.empty(len(positions_m), dtype=np.uint8)
     for i in range(len(positions_m)):
         X, Y, Z = positions_m[i]
-        said[i] = look(X, Y, Z, T_cam_world, lens, views, unit_m, stride, tolerance_m, share)
+        said[i] = look(X, Y, Z, view, seeing)
     return said
 
 
@@ -209,7 +198,7 @@ def mean_positions(chosen: I32, row_key: I64, rows: I32, voxel_m: float) -> F32:
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def count_in_view(points_m: F32, T_cam_world: F64, lens: F64, width: int, height: int, far_m: float) -> I64:
+def count_in_view(points_m: F32, T_cam_world: F64, lens: Lens, width: int, height: int, far_m: float) -> I64:
     """Count for each camera (C, 4, 4) how many points (M, 3) [m, world] lie in its image, nearer than `far_m`."""
     counts = np.zeros(len(T_cam_world), dtype=np.int64)
     for c in range(len(T_cam_world)):
@@ -219,7 +208,7 @@ def count_in_view(points_m: F32, T_cam_world: F64, lens: F64, width: int, height
             z = T[2, 0] * X + T[2, 1] * Y + T[2, 2] * Z + T[2, 3]
             if not 0.1 < z < far_m:
                 continue
-            u = lens[0] * (T[0, 0] * X + T[0, 1] * Y + T[0, 2] * Z + T[0, 3]) / z + lens[2]
-            v = lens[1] * (T[1, 0] * X + T[1, 1] * Y + T[1, 2] * Z + T[1, 3]) / z + lens[3]
+            u = lens.fx * (T[0, 0] * X + T[0, 1] * Y + T[0, 2] * Z + T[0, 3]) / z + lens.cx
+            v = lens.fy * (T[1, 0] * X + T[1, 1] * Y + T[1, 2] * Z + T[1, 3]) / z + lens.cy
             counts[c] += 0.0 <= u < width and 0.0 <= v < height
     return counts

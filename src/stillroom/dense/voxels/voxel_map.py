@@ -23,6 +23,7 @@ from stillroom.dense.voxels.fusing_kernels import (
 from stillroom.dense.voxels.hash_kernels import EMPTY, enter_rows, find_rows, unpack
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F32, F64, I32, I64, U8, Bool, Ints
+from stillroom.geometry.camera import Lens
 
 BLOCK_BITS = 4
 """A block is a cube of 16 voxels each way: what is looked at, left out, or swapped as a whole."""
@@ -149,7 +150,7 @@ class VoxelMap:
         self.rows[rows, SCORE] = score
         self.rows[rows, VOIDED_AT] = now
 
-    def blocks_near(self, T_cam_world: F64, lens: F64, size_px: tuple[int, int], far_m: float) -> Bool:
+    def blocks_near(self, T_cam_world: F64, lens: Lens, size_px: tuple[int, int], far_m: float) -> Bool:
         """Tell of each block (B,) whether a camera may see into it, nearer than `far_m`."""
         return in_frustum(self._block_centres_m, self.block_radius_m, T_cam_world, lens, size_px, far_m)
 
@@ -233,7 +234,7 @@ def block_centres_m(block_keys: I64, voxel_m: float) -> F64:
 
 
 def in_frustum(
-    centres_m: F64, radius_m: float, T_cam_world: F64, lens: F64, size_px: tuple[int, int], far_m: float
+    centres_m: F64, radius_m: float, T_cam_world: F64, lens: Lens, size_px: tuple[int, int], far_m: float
 ) -> Bool:
     """Tell of spheres (B,) whether a camera may see into them.
 
@@ -241,14 +242,14 @@ def in_frustum(
         centres_m: Their centres (B, 3) [world].
         radius_m: Their radius.
         T_cam_world: Pose (4, 4).
-        lens: fx fy cx cy … of the camera.
+        lens: Of the camera.
         size_px: Width and height of its image.
         far_m: How far it sees.
     """
     x, y, z = se3.transform(T_cam_world, centres_m).T
     # The image is widened by a tenth for what distortion bends into it.
-    half_x = 1.1 * max(lens[2], size_px[0] - lens[2]) / lens[0]
-    half_y = 1.1 * max(lens[3], size_px[1] - lens[3]) / lens[1]
+    half_x = 1.1 * max(lens.cx, size_px[0] - lens.cx) / lens.fx
+    half_y = 1.1 * max(lens.cy, size_px[1] - lens.cy) / lens.fy
     aside_x = np.abs(x) - half_x * z <= radius_m * np.hypot(1.0, half_x)
     aside_y = np.abs(y) - half_y * z <= radius_m * np.hypot(1.0, half_y)
     seen: Bool = (z > -radius_m) & (z < far_m + radius_m) & aside_x & aside_y

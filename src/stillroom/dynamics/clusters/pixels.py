@@ -1,11 +1,11 @@
 """From verdicts on clusters to the pixels that move."""
 
-import cv2
 import numpy as np
 from numba import njit
 
 from stillroom.data.cloud.clusters import UNKNOWN, Clusters
 from stillroom.geometry.arrays import F64, I16, U8, Bool
+from stillroom.geometry.growing import Shape, grown
 
 STAYS, MOVES, MOVES_IN_BOX = 0, 1, 2
 """What is said of all pixels of a cluster, as bits."""
@@ -20,8 +20,7 @@ class MovingPixels:
         Args:
             margin_px: What lies so close to something moving, and on no plane or other cluster, moves too.
         """
-        side = 2 * margin_px + 1
-        self._beside = np.ones((side, side), dtype=np.uint8)
+        self._margin_px = margin_px
         self._last: tuple[Clusters, U8, Bool] | None = None
 
     def of(self, clusters: Clusters, belief: F64, in_boxes: Bool) -> Bool:
@@ -55,7 +54,7 @@ class MovingPixels:
         moving = np.zeros(labels.shape, dtype=np.uint8)
         if said.any():
             look_up(labels.ravel(), said, in_boxes.ravel(), moving.ravel())
-            near = np.asarray(cv2.dilate(moving, self._beside), dtype=np.uint8)
+            near = grown(moving.view(np.bool_), self._margin_px, Shape.SQUARE).view(np.uint8)
             add_unknown(labels.ravel(), near.ravel(), moving.ravel())
         return moving.view(np.bool_)
 

@@ -17,6 +17,7 @@ from stillroom.dynamics.depth_history import DepthHistory, DepthHistoryConfig
 from stillroom.dynamics.epipolar import EpipolarConfig
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64
+from stillroom.geometry.pixels import values_at
 from stillroom.protocols import Parts
 
 SAME_M, SAME_RAD = 0.01, 0.003
@@ -104,10 +105,9 @@ class ClusterSieve:
         belief = self._believe(question, clusters)
         self._believed.keep(frame.image, question.T_cam_world, (clusters, belief))
         moving = self._pixels.of(clusters, belief, known.movable)
-        column, row = np.rint(frame.keypoints.raw_px).astype(np.int64).T
-        moves = moving[row, column] & ~known.movable[row, column]  # in boxes their own sieve knows better
-        labels = clusters.labels[row, column]
-        moves |= np.append(belief > 0, (False, False))[labels]
+        raw_px = frame.keypoints.raw_px
+        moves = values_at(moving, raw_px) & ~known.movable_at(raw_px)  # in boxes their own sieve knows better
+        moves |= np.append(belief > 0, (False, False))[clusters.labels_at(raw_px)]
         return Motion(motion.is_static & ~moves, moving)
 
     def remember(self, frame: Frame, T_cam_world: F64, keyframe: int) -> None:

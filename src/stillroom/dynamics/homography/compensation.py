@@ -2,18 +2,17 @@
 
 from dataclasses import dataclass, field
 
-import cv2
 import numpy as np
 
 from stillroom.data.frame import Frame
+from stillroom.features.optical_flow import OpticalFlow
 from stillroom.geometry import homography, se3
 from stillroom.geometry.arrays import F64, I64, U8, Bool
 from stillroom.geometry.camera import Camera
 from stillroom.geometry.homography import HomographyFit
 from stillroom.optimize.pose import PoseOptimizerConfig
 
-_WINDOW_PX = 13
-_LEVELS = 2
+_FLOW = OpticalFlow(window_px=13, levels=2)
 _CELL_PX = 40
 
 
@@ -141,16 +140,7 @@ def _follow(frame: Frame, probes: I64, now_half: U8, then_half: U8, T_then_now: 
     guess_px = camera.distort(camera.project(points))
     now_half_px = (0.5 * kp.raw_px[probes] - 0.25).astype(np.float32)
     start_px = (0.5 * guess_px - 0.25).astype(np.float32)
-    then_half_px, found, _ = cv2.calcOpticalFlowPyrLK(
-        now_half,
-        then_half,
-        now_half_px[:, None],
-        start_px[:, None].copy(),
-        winSize=(_WINDOW_PX, _WINDOW_PX),
-        maxLevel=_LEVELS,
-        criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.03),
-        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
-    )
-    then_raw_px = 2.0 * then_half_px[:, 0].astype(np.float64) + 0.5
+    then_half_px, is_found = _FLOW.follow(now_half, then_half, now_half_px, start_px)
+    then_raw_px = 2.0 * then_half_px.astype(np.float64) + 0.5
     inside = np.all((then_raw_px >= 0) & (then_raw_px <= (camera.width - 1, camera.height - 1)), axis=1)
-    return inside & (found.ravel() > 0), then_raw_px
+    return inside & is_found, then_raw_px

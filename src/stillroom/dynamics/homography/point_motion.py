@@ -2,14 +2,15 @@
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import NamedTuple
 
 import numba
 import numpy as np
 
 from stillroom.dynamics.homography.patches import N_PIXELS, NOT_SEEN, find_patch
 from stillroom.geometry.arrays import F32, F64, I64, U8, Bool
-from stillroom.geometry.camera import Camera
+from stillroom.geometry.camera import Camera, Lens
+from stillroom.geometry.distortion import distorted
 
 UNKNOWN, STATIC, DYNAMIC = 0, 1, 2
 """What the test can say of a point."""
@@ -61,6 +62,51 @@ class View:
     depth_m: F32 = field(repr=False)
 
 
+class _Images(NamedTuple):
+    """Both images of a test; see `View`."""
+
+    now_half: U8
+    now_quarter: U8
+    then_half: U8
+    then_quarter: U8
+    then_depth_m: F32
+
+
+class _Points(NamedTuple):
+    """The points of a test, as taken and undistorted (N, 2) [px], and their depths (N,) [m]."""
+
+    raw_px: F64
+    px: F64
+    depth_m: F64
+
+
+class _Motions(NamedTuple):
+    """How the camera moved: in space, and as a homography."""
+
+    T_then_now: F64
+    H_then_now: F64
+
+
+class _Limits(NamedTuple):
+    """`PointTestConfig` as the kernels take it."""
+
+    use_depth: bool
+    threshold_px: float
+    tolerance_m: float
+    tolerance_share: float
+    min_likeness: float
+    max_unlikeness: float
+    nearest_m: float
+    iterations: int
+
+
+class _Answers(NamedTuple):
+    """Where verdicts (K,) and residuals (K, 2) [px] are written."""
+
+    verdicts: I64
+    residual_px: F64
+
+
 @dataclass(frozen=True)
 class PointTest:
     """A test of the keypoints of the present image against an earlier one; call it with those to be tested.
@@ -105,30 +151,28 @@ class PointTest:
         return moves
 
     def _run(self, which: I64, verdicts: I64, residual_px: F64) -> None:
-        judge_points(which, *self._given, verdicts, residual_px)
+        judge_points(which, *self._given, _Answers(verdicts, residual_px))
 
     @cached_property
-    def _given(self) -> tuple[Any, ...]:
+    def _given(self) -> tuple[_Images, _Points, _Motions, Lens, _Limits]:
         """What the kernel is given with each question."""
-        c, camera = self.config, self.camera
+        c = self.config
         return (
-            (self.now.half, self.now.quarter, self.then.half, self.then.quarter, self.then.depth_m),
-            (self.raw_px, self.px, self.depth_m),
-            (self.T_then_now, self.H_then_now),
-            np.array([camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion]),
-            np.array([c.threshold_px, c.tolerance_m, c.tolerance_share, c.min_likeness, c.max_unlikeness, c.nearest_m]),
-            c.use_depth,
-            c.iterations,
+            _Images(self.now.half, self.now.quarter, self.then.half, self.then.quarter, self.then.depth_m),
+            _Points(self.raw_px, self.px, self.depth_m),
+            _Motions(self.T_then_now, self.H_then_now),
+            self.camera.lens,
+            _Limits(
+                c.use_depth,
+                float(c.threshold_px),
+                float(c.tolerance_m),
+                float(c.tolerance_share),
+                float(c.min_likeness),
+                float(c.max_unlikeness),
+                float(c.nearest_m),
+                c.iterations,
+            ),
         )
-
-
-@numba.njit(nogil=True, cache=True)
-def distort_into(x: float, y: float, lens: F64, px: F64) -> None:
-    """Write where a camera (fx fy cx cy k1 k2 p1 p2 k3) sees the ray (x, y, 1) in the image as taken, (2,) [px]."""
-    r2 = x * x + y * y
-    radial = 1.0 + r2 * (lens[4] + r2 * (lens[5] + r2 * lens[8]))
-    px[0] = lens[0] * (x * radial + 2.0 * lens[6] * x * y + lens[7] * (r2 + 2.0 * x * x)) + lens[2]
-    px[1] = lens[1] * (y * radial + lens[6] * (r2 + 2.0 * y * y) + 2.0 * lens[7] * x * y) + lens[3]
 
 
 @numba.njit(nogil=True, cache=True)
@@ -157,16 +201,7 @@ def ask_depth(depth_m: F32, px: F64, z: float, tolerance_m: float) -> int:
 
 
 @numba.njit(nogil=True, cache=True)
-def locate(
-    images: tuple[U8, U8, U8, U8, F32],
-    raw: F64,
-    guess: F64,
-    min_likeness: float,
-    max_unlikeness: float,
-    iterations: int,
-    scratch: F64,
-    found: F64,
-) -> int:
+def locate(images: _Images, raw: F64, guess: F64, limits: _Limits, scratch: F64, found: F64) -> int:
     """Find a point of the present image (2,) in the earlier one, from a guess (2,) on; both as taken [px].
 
     Near the guess at half size first; where it is not there, farther away at a quarter of the size, then near that.
@@ -175,6 +210,7 @@ def locate(
         FOUND; ABSENT when what is at the guess is like nothing of it; UNKNOWN else, or where there is no corner.
     """
     now_half, now_quarter, then_half, then_quarter, _ = images
+    min_likeness, iterations = limits.min_likeness, limits.iterations
     x, y = 0.5 * raw[0] - 0.25, 0.5 * raw[1] - 0.25
     u, v = 0.5 * guess[0] - 0.25, 0.5 * guess[1] - 0.25
     near = find_patch(now_half, (x, y), then_half, (u, v), iterations, scratch, found)
@@ -188,11 +224,11 @@ def locate(
     found[0], found[1] = 2.0 * found[0] + 0.5, 2.0 * found[1] + 0.5
     if likeness >= min_likeness:
         return FOUND
-    return ABSENT if NOT_SEEN < near < max_unlikeness else UNKNOWN
+    return ABSENT if NOT_SEEN < near < limits.max_unlikeness else UNKNOWN
 
 
 @numba.njit(nogil=True, cache=True)
-def unexplained_px(found: F64, by_plane: F64, T_then_now: F64, lens: F64, nearest_m: float) -> float:
+def unexplained_px(found: F64, by_plane: F64, T_then_now: F64, lens: Lens, nearest_m: float) -> float:
     """Return what of a point's distance (2,) from where the plane would have it no depth could explain [px].
 
     A point off the plane is shifted along its epipolar line, by no more than one at `nearest_m` (plane and parallax).
@@ -200,8 +236,8 @@ def unexplained_px(found: F64, by_plane: F64, T_then_now: F64, lens: F64, neares
     rx, ry = found[0] - by_plane[0], found[1] - by_plane[1]
     t = T_then_now[:3, 3]
     # The direction to the epipole, which is where the camera stood: K t, at infinity when it moved sideways.
-    ex = lens[0] * t[0] + (lens[2] - by_plane[0]) * t[2]
-    ey = lens[1] * t[1] + (lens[3] - by_plane[1]) * t[2]
+    ex = lens.fx * t[0] + (lens.cx - by_plane[0]) * t[2]
+    ey = lens.fy * t[1] + (lens.cy - by_plane[1]) * t[2]
     norm = np.sqrt(ex * ex + ey * ey)
     if norm < 1e-6:
         return float(np.sqrt(rx * rx + ry * ry))
@@ -212,22 +248,13 @@ def unexplained_px(found: F64, by_plane: F64, T_then_now: F64, lens: F64, neares
 
 @numba.njit(nogil=True, cache=True)
 def judge_points(
-    which: I64,
-    images: tuple[U8, U8, U8, U8, F32],
-    points: tuple[F64, F64, F64],
-    motions: tuple[F64, F64],
-    lens: F64,
-    limits: F64,
-    use_depth: bool,
-    iterations: int,
-    verdicts: I64,
-    residual_px: F64,
+    which: I64, images: _Images, points: _Points, motions: _Motions, lens: Lens, limits: _Limits, answers: _Answers
 ) -> None:
-    """Write verdicts (K,) and residuals (K, 2) [px] of the points `which` (K,); see `PointTest`."""
+    """Write what is said of the points `which` (K,); see `PointTest`."""
     raw_px, px, depth_m = points
     T, H = motions
-    threshold_px, tolerance_m, tolerance_share, min_likeness, max_unlikeness, nearest_m = limits
-    then_depth_m = images[4]
+    verdicts, residual_px = answers
+    then_depth_m, use_depth = images.then_depth_m, limits.use_depth
     scratch = np.empty((4, N_PIXELS))
     by_pose, by_plane, found = np.empty(2), np.empty(2), np.empty(2)
     for k in range(len(which)):
@@ -237,21 +264,22 @@ def judge_points(
         x, y = px[i, 0], px[i, 1]
         w = H[2, 0] * x + H[2, 1] * y + H[2, 2]
         hx, hy = (H[0, 0] * x + H[0, 1] * y + H[0, 2]) / w, (H[1, 0] * x + H[1, 1] * y + H[1, 2]) / w
-        distort_into((hx - lens[2]) / lens[0], (hy - lens[3]) / lens[1], lens, by_plane)
+        by_plane[0], by_plane[1] = distorted(lens, (hx - lens.cx) / lens.fx, (hy - lens.cy) / lens.fy)
         deep, shown = use_depth and depth_m[i] > 0.0, UNKNOWN
         if deep:
-            rx, ry, z = (x - lens[2]) / lens[0] * depth_m[i], (y - lens[3]) / lens[1] * depth_m[i], depth_m[i]
+            rx, ry, z = (x - lens.cx) / lens.fx * depth_m[i], (y - lens.cy) / lens.fy * depth_m[i], depth_m[i]
             there = T[2, 0] * rx + T[2, 1] * ry + T[2, 2] * z + T[2, 3]
             if there < _NEAR_M:
                 continue
             tx = (T[0, 0] * rx + T[0, 1] * ry + T[0, 2] * z + T[0, 3]) / there
             ty = (T[1, 0] * rx + T[1, 1] * ry + T[1, 2] * z + T[1, 3]) / there
-            distort_into(tx, ty, lens, by_pose)
-            shown = ask_depth(then_depth_m, by_pose, there, max(tolerance_m, tolerance_share * there))
+            by_pose[0], by_pose[1] = distorted(lens, tx, ty)
+            tolerance_m = max(limits.tolerance_m, limits.tolerance_share * there)
+            shown = ask_depth(then_depth_m, by_pose, there, tolerance_m)
             if shown == UNKNOWN and then_depth_m[int(by_pose[1] + 0.5), int(by_pose[0] + 0.5)] > 0.0:
                 continue  # Something stood before it.
         guess = by_pose if deep else by_plane
-        state = locate(images, raw_px[i], guess, min_likeness, max_unlikeness, iterations, scratch, found)
+        state = locate(images, raw_px[i], guess, limits, scratch, found)
         if state != FOUND:
             if shown == DYNAMIC or (shown == STATIC and state == ABSENT):
                 verdicts[k] = DYNAMIC
@@ -263,6 +291,6 @@ def judge_points(
             residual_px[k, 0] = np.sqrt((found[0] - by_pose[0]) ** 2 + (found[1] - by_pose[1]) ** 2)
             off_px = min(residual_px[k, 0], plane_px)
         elif use_depth:
-            off_px = unexplained_px(found, by_plane, T, lens, nearest_m)
+            off_px = unexplained_px(found, by_plane, T, lens, limits.nearest_m)
         # A place that was empty says less than being there: at outlines depth is often that of the other side.
-        verdicts[k] = DYNAMIC if off_px > threshold_px else STATIC
+        verdicts[k] = DYNAMIC if off_px > limits.threshold_px else STATIC

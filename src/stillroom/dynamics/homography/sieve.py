@@ -18,6 +18,7 @@ from stillroom.dynamics.homography.past import Past, view_of
 from stillroom.dynamics.homography.point_motion import DYNAMIC, UNKNOWN, PointTest, PointTestConfig, View
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F32, F64, I64, U8, Bool
+from stillroom.geometry.pixels import values_at
 from stillroom.protocols import Parts
 
 SEARCHES = ("reverse", "exhaustive")
@@ -169,8 +170,7 @@ class CompensatedHomographySieve:
         for hull_px, members in zip(found.hulls, found.members, strict=True):
             geometry |= self._filled(hull_px, test.raw_px[members], test.depth_m[members], frame.image.depth_m)
         # What could not be tested goes with the community that it lies in.
-        column, row = np.rint(test.raw_px).astype(np.int64).T
-        lone = geometry[row, column] & (findings.verdicts == UNKNOWN)
+        lone = values_at(geometry, test.raw_px) & (findings.verdicts == UNKNOWN)
         is_static[findings.candidates[lone]] = False
         return Motion(is_static, moving | geometry)
 

@@ -15,6 +15,7 @@ from stillroom.dynamics.multiview.kernels import (
     UNSEEN,
     Growth,
     Here,
+    Judged,
     Limits,
     Points,
     There,
@@ -26,6 +27,7 @@ from stillroom.dynamics.multiview.views import AskedViews, KeyframesConfig, Keyf
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F32, F64, I32, I64, U8, Bool
 from stillroom.geometry.camera import Camera
+from stillroom.geometry.growing import Shape, grown
 
 __all__ = ["BORDER", "DYNAMIC", "UNSEEN", "Geometry", "GeometryConfig", "PointsInView"]
 
@@ -160,7 +162,7 @@ class Geometry:
         n, camera = len(views.seen_in), frame.camera
         points = Points(views.points_cam_m, views.seen_in, np.empty((n, 2), dtype=np.int32), np.empty(n))
         depth_m = np.ascontiguousarray(frame.image.depth_m, dtype=np.float32)
-        here = Here(depth_m, rays_of(camera), T_world_cam, lens_of(camera))
+        here = Here(depth_m, rays_of(camera), T_world_cam, camera.lens)
         centres_m = self._centres_m(views, T_world_cam)
         there = There(views.depth_m, views.T_cam_world, T_cam_world @ views.T_world_cam, centres_m)
         project(points, there, here.lens, frame.image.height, frame.image.width)
@@ -172,7 +174,7 @@ class Geometry:
         """Test chosen points (M,); return their verdicts (M,) and note them in it."""
         q = seen
         limits = self._limits._replace(patch_px=self.config.patch_px + round(q.displaced_px))
-        judge_points(chosen, q.points, q.here, q.there, self._window, limits, q.verdict, q.before_px)
+        judge_points(chosen, q.points, q.here, q.there, self._window, limits, Judged(q.verdict, q.before_px))
         verdicts: U8 = q.verdict[chosen]
         return verdicts
 
@@ -216,11 +218,6 @@ def offsets(reach_px: int) -> I32:
     return np.asarray(every[np.argsort((every**2).sum(axis=1), kind="stable")], dtype=np.int32)
 
 
-def lens_of(camera: Camera) -> F64:
-    """Return fx fy cx cy k1 k2 p1 p2 k3 (9,)."""
-    return np.array([camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion], dtype=np.float64)
-
-
 @lru_cache(maxsize=4)
 def rays_of(camera: Camera, stride: int = 1) -> F32:
     """Return the rays at unit depth of every so many-th pixel (h, w, 2) of the image as taken."""
@@ -231,6 +228,6 @@ def rays_of(camera: Camera, stride: int = 1) -> F32:
 
 
 def _patches(seeds_px: I32, height: int, width: int, reach_px: int) -> Bool:
-    mask = np.zeros((height, width), dtype=np.uint8)
-    mask[seeds_px[:, 1], seeds_px[:, 0]] = 1
-    return cv2.dilate(mask, np.ones((2 * reach_px + 1, 2 * reach_px + 1), dtype=np.uint8)).view(np.bool_)
+    mask = np.zeros((height, width), dtype=np.bool_)
+    mask[seeds_px[:, 1], seeds_px[:, 0]] = True
+    return grown(mask, reach_px, Shape.SQUARE)

@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 
 from stillroom.dynamics.multiview.views import STRIDE
 from stillroom.geometry.arrays import F32, F64, I32, I64, U8
+from stillroom.geometry.camera import Lens
+from stillroom.geometry.distortion import distorted
 
 I8 = NDArray[np.int8]
 
@@ -74,13 +76,13 @@ class Here(NamedTuple):
         depth_m: Depths (h, w) float32, at any stride; 0 where unknown.
         rays: Rays of its pixels at unit depth (h, w, 2) float32.
         T_world_cam: Its pose (4, 4).
-        lens: fx fy cx cy k1 k2 p1 p2 k3 of whole images (9,).
+        lens: Of whole images.
     """
 
     depth_m: F32
     rays: F32
     T_world_cam: F64
-    lens: F64
+    lens: Lens
 
 
 class There(NamedTuple):
@@ -117,19 +119,20 @@ class Points(NamedTuple):
     z_m: F64
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
-def distorted(x: float, y: float, lens: F64) -> tuple[float, float]:
-    """Return the pixel, as taken, of a ray at unit depth."""
-    k1, k2, p1, p2, k3 = lens[4], lens[5], lens[6], lens[7], lens[8]
-    r2 = x * x + y * y
-    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    u = lens[0] * (x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)) + lens[2]
-    v = lens[1] * (y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y) + lens[3]
-    return u, v
+class Judged(NamedTuple):
+    """What is found out of points.
+
+    Attributes:
+        verdict: Written for the chosen points (N,) uint8.
+        before_px: The pixel that shows what stands before a point (N, 2) int32, written where something does.
+    """
+
+    verdict: U8
+    before_px: I32
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def project(points: Points, there: There, lens: F64, height: int, width: int) -> None:
+def project(points: Points, there: There, lens: Lens, height: int, width: int) -> None:
     """Write `px` and `z_m` of the points for an image of a size."""
     T = there.T_here_cam
     for i in range(len(points.cam_m)):
@@ -141,14 +144,14 @@ def project(points: Points, there: There, lens: F64, height: int, width: int) ->
             continue
         x = (T[k, 0, 0] * X + T[k, 0, 1] * Y + T[k, 0, 2] * Z + T[k, 0, 3]) / z
         y = (T[k, 1, 0] * X + T[k, 1, 1] * Y + T[k, 1, 2] * Z + T[k, 1, 3]) / z
-        u, v = distorted(x, y, lens)
+        u, v = distorted(lens, x, y)
         if u >= -0.5 and v >= -0.5 and u < width - 0.5 and v < height - 0.5:
             points.px[i, 0], points.px[i, 1] = int(np.floor(u + 0.5)), int(np.floor(v + 0.5))
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def judge_points(
-    chosen: I64, points: Points, here: Here, there: There, window: I32, limits: Limits, verdict: U8, before_px: I32
+    chosen: I64, points: Points, here: Here, there: There, window: I32, limits: Limits, judged: Judged
 ) -> None:
     """Test chosen points of keyframes against the present depth image (DynaSLAM III.C).
 
@@ -159,9 +162,9 @@ def judge_points(
         there: The keyframes.
         window: Offsets (W, 2) int32, nearest first, at which something nearer is looked for.
         limits: The numbers.
-        verdict: Written for the chosen points (N,).
-        before_px: The pixel that shows what stands before a point (N, 2), written where something does.
+        judged: Written.
     """
+    verdict, before_px = judged
     for m in range(len(chosen)):
         i = chosen[m]
         z = points.z_m[i]
@@ -240,7 +243,7 @@ def _place(here: Here, row: int, column: int) -> tuple[float, float, float]:
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def sees(there: There, k: int, lens: F64, place_m: tuple[float, float, float], limits: Limits) -> int:
+def sees(there: There, k: int, lens: Lens, place_m: tuple[float, float, float], limits: Limits) -> int:
     """Return what keyframe `k` says of a place [world]: AGREES, EMPTY or UNKNOWN.
 
     The pixel and the nearest and farthest of its neighbours are asked: one that agrees is enough, and all must lie
@@ -253,7 +256,7 @@ def sees(there: There, k: int, lens: F64, place_m: tuple[float, float, float], l
         return UNKNOWN
     x = (T[k, 0, 0] * X + T[k, 0, 1] * Y + T[k, 0, 2] * Z + T[k, 0, 3]) / z
     y = (T[k, 1, 0] * X + T[k, 1, 1] * Y + T[k, 1, 2] * Z + T[k, 1, 3]) / z
-    u, v = distorted(x, y, lens)
+    u, v = distorted(lens, x, y)
     if not (u >= 0 and v >= 0 and u < STRIDE * 10000 and v < STRIDE * 10000):
         return UNKNOWN
     column, row = int(u / STRIDE + 0.5), int(v / STRIDE + 0.5)

@@ -1,9 +1,7 @@
 """DynaSLAM's rule for what moves: what a network says may move, and what multi-view geometry says does."""
 
 from dataclasses import dataclass, field
-from functools import lru_cache
 
-import cv2
 import numpy as np
 
 from stillroom.bounds import bounded, check
@@ -13,7 +11,9 @@ from stillroom.data.question import Question
 from stillroom.data.semantics import Instance, Semantics, union_of
 from stillroom.dynamics.asking import ImageMemory
 from stillroom.dynamics.multiview.geometry import GeometryConfig
-from stillroom.geometry.arrays import F64, U8, Bool
+from stillroom.geometry.arrays import F64, Bool
+from stillroom.geometry.growing import Shape, grown
+from stillroom.geometry.pixels import values_at
 from stillroom.protocols import Parts
 
 UNION, GEOMETRY_FIRST = "union", "geometry-first"
@@ -73,8 +73,7 @@ class MultiViewSieve:
         found = self._mask(question) if self.config.geometry else None
         moving = self._moving(found, question.known)
         self._judged.keep(question.frame.image, question.T_cam_world, moving)
-        column, row = np.rint(question.frame.keypoints.raw_px).astype(np.int64).T
-        return Motion(~moving[row, column], moving)
+        return Motion(~values_at(moving, question.frame.keypoints.raw_px), moving)
 
     def remember(self, frame: Frame, T_cam_world: F64, keyframe: int) -> None:
         """Note what moves in the frame; a keyframe's depth is kept."""
@@ -107,7 +106,7 @@ class MultiViewSieve:
             else:
                 moving |= known.movable
         if found is not None:
-            moving |= dilated(found, self.config.dilation_px)
+            moving |= grown(found, self.config.dilation_px, Shape.ELLIPSE)
         return moving
 
 
@@ -120,16 +119,3 @@ def without_found(known: Semantics, found: Bool, share: float) -> Bool:
 def _both(thing: Instance, found: Bool) -> int:
     """Return how many pixels of an object geometry found."""
     return int(np.count_nonzero(found[thing.window] & thing.pixels))
-
-
-def dilated(mask: Bool, reach_px: int) -> Bool:
-    """Return a mask (H, W) grown by an ellipse of this reach."""
-    if reach_px <= 0 or not mask.any():
-        return mask
-    return np.asarray(cv2.dilate(mask.view(np.uint8), _ellipse(reach_px))).view(np.bool_)
-
-
-@lru_cache
-def _ellipse(reach_px: int) -> U8:
-    size = 2 * reach_px + 1
-    return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)), dtype=np.uint8)

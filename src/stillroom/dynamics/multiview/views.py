@@ -11,6 +11,8 @@ from stillroom.data.frame import Frame
 from stillroom.data.map import Map
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F32, F64, I64, Bool
+from stillroom.geometry.growing import Shape, element
+from stillroom.geometry.pixels import values_at
 
 STRIDE = 4
 """Every fourth pixel of a keyframe's depth image is kept."""
@@ -177,8 +179,7 @@ class KeyframeViews:
         small = frame.image.depth_m[::STRIDE, ::STRIDE].copy()
         small[moving[::STRIDE, ::STRIDE]] = 0
         kp = frame.keypoints
-        column, row = np.rint(kp.raw_px).astype(np.int64).T
-        usable = (kp.depth_m > 0) & (kp.depth_m < self.config.far_m) & ~moving[row, column]
+        usable = (kp.depth_m > 0) & (kp.depth_m < self.config.far_m) & ~values_at(moving, kp.raw_px)
         points = frame.camera.back_project(kp.px[usable], kp.depth_m[usable])
         if self.config.grid_px > 0:
             points = np.concatenate((points, self._on_a_grid(frame, small)))
@@ -195,7 +196,7 @@ class KeyframeViews:
 
 def with_neighbours(depth_m: F32, reach: int = 1) -> F32:
     """Return depths (h, w), 0 where unknown, with the nearest and farthest known so many pixels around, (h, w, 3)."""
-    square = np.ones((2 * reach + 1, 2 * reach + 1), dtype=np.uint8)
+    square = element(reach, Shape.SQUARE)
     nearest = cv2.erode(np.where(depth_m > 0, depth_m, np.float32(np.inf)), square)
     nearest[np.isinf(nearest)] = 0
     return np.ascontiguousarray(np.dstack((depth_m, nearest, cv2.dilate(depth_m, square))), dtype=np.float32)

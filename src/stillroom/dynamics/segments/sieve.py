@@ -14,11 +14,12 @@ from stillroom.dynamics.asking import ImageMemory
 from stillroom.dynamics.clusters.belief import Belief
 from stillroom.dynamics.clusters.pixels import MOVES, STAYS, MovingPixels
 from stillroom.dynamics.clusters.samples import Sampler
-from stillroom.dynamics.depth_history import STRIDE, ask
+from stillroom.dynamics.depth_history import STRIDE, SmallView, ask
 from stillroom.dynamics.homography.past import EarlierImage, Past, view_of
 from stillroom.dynamics.homography.point_motion import DYNAMIC, STATIC, UNKNOWN, PointTest, PointTestConfig, View
 from stillroom.geometry import homography, se3
 from stillroom.geometry.arrays import F64, I64, Bool
+from stillroom.geometry.pixels import values_at
 from stillroom.protocols import Parts
 
 NEAR = 0.02, 0.01
@@ -105,8 +106,7 @@ class MovedSegments:
         if finding is not None:
             said = np.where(finding.belief > 0, MOVES, STAYS).astype(np.uint8)
             moving = moving | self._pixels.marked(finding.clusters, said, moving)
-        column, row = np.rint(question.frame.keypoints.raw_px).astype(np.int64).T
-        return Motion(~moving[row, column], moving)
+        return Motion(~values_at(moving, question.frame.keypoints.raw_px), moving)
 
     def remember(self, frame: Frame, T_cam_world: F64, keyframe: int) -> None:
         """Take the image and what is believed of its segments into the memories."""
@@ -169,17 +169,8 @@ class MovedSegments:
         agrees, empty = np.zeros((2, len(points.segment)), dtype=np.int64)
         points_world_m = se3.transform(se3.inverse(T_cam_world), camera.back_project(points.px, points.depth_m))
         small_m = np.ascontiguousarray(earlier.view.depth_m[::STRIDE, ::STRIDE])
-        lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion])
-        ask(
-            small_m,
-            earlier.T_cam_world,
-            lens,
-            points_world_m,
-            config.tolerance_m,
-            config.tolerance_share,
-            agrees,
-            empty,
-        )
+        view = SmallView(small_m, earlier.T_cam_world, camera.lens)
+        ask(view, points_world_m, config.tolerance_m, config.tolerance_share, agrees, empty)
         return np.asarray(agrees > 0)
 
     def _points_on(self, frame: Frame, clusters: Clusters) -> "_Points":

@@ -2,13 +2,15 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F32, F64, I32, Floats
-from stillroom.geometry.camera import Camera
+from stillroom.geometry.camera import Camera, Lens
+from stillroom.geometry.distortion import distorted
 
 NEAREST_M = 0.1
 """Points nearer to the camera, or behind it, are not seen."""
@@ -64,11 +66,8 @@ def sightings(
     """
     points = np.ascontiguousarray(points_world_m, dtype=np.float64)
     agree, passed = np.zeros(len(points), dtype=np.int32), np.zeros(len(points), dtype=np.int32)
-    lens = _lens(camera)
     for view in views:
-        T_cam_world = np.ascontiguousarray(se3.inverse(view.T_world_cam))
-        depth_m = np.ascontiguousarray(view.depth_m)
-        _ask(depth_m, T_cam_world, lens, points, tolerance_m, tolerance_share, reach_px, agree, passed)
+        _ask(_taken(view, camera), points, tolerance_m, tolerance_share, reach_px, agree, passed)
     return Sightings(agree, passed)
 
 
@@ -88,47 +87,53 @@ def settled(
     """
     points = np.ascontiguousarray(points_world_m, dtype=np.float64)
     total_m, count = np.zeros_like(points), np.zeros(len(points), dtype=np.int32)
-    lens = _lens(camera)
     for view in views:
         pose = np.ascontiguousarray(view.T_world_cam)
-        depth_m = np.ascontiguousarray(view.depth_m)
-        _add_offsets(depth_m, pose, se3.inverse(pose), lens, points, tolerance_m, tolerance_share, total_m, count)
+        _add_offsets(_taken(view, camera), pose, points, tolerance_m, tolerance_share, total_m, count)
     return np.asarray(points + total_m / np.maximum(count, 1)[:, None])
 
 
-def _lens(camera: Camera) -> F64:
-    """Return what the kernels know of a camera (13,): fx fy cx cy, k1 k2 p1 p2 k3, extent of the undistorted image.
+class _Taken(NamedTuple):
+    """`DepthView` as the kernels take it.
 
-    Beyond that extent the distortion model means nothing.
+    Attributes:
+        depth_m: Depth (H, W) float32 [m].
+        T_cam_world: Pose (4, 4).
+        lens: Of the camera.
+        bounds_px: Extent of the undistorted image, x_min y_min x_max y_max [px]; beyond it the distortion model means
+            nothing.
     """
-    intrinsics = camera.fx, camera.fy, camera.cx, camera.cy
-    return np.array([*intrinsics, *camera.distortion, *camera.undistorted_bounds_px])
+
+    depth_m: F32
+    T_cam_world: F64
+    lens: Lens
+    bounds_px: tuple[float, float, float, float]
+
+
+def _taken(view: DepthView, camera: Camera) -> _Taken:
+    T_cam_world = np.ascontiguousarray(se3.inverse(view.T_world_cam))
+    return _Taken(np.ascontiguousarray(view.depth_m), T_cam_world, camera.lens, camera.undistorted_bounds_px)
 
 
 @njit(nogil=True, cache=True)
-def _seen_at(T_cam_world: F64, lens: F64, X: float, Y: float, Z: float) -> tuple[float, int, int]:
+def _seen_at(view: _Taken, X: float, Y: float, Z: float) -> tuple[float, int, int]:
     """Return a point's depth [m], and column and row [px] of the pixel that it falls on; −1 where on none."""
-    T = T_cam_world
+    T, lens = view.T_cam_world, view.lens
     z = T[2, 0] * X + T[2, 1] * Y + T[2, 2] * Z + T[2, 3]
     if not z > NEAREST_M:
         return z, -1, -1
     x = (T[0, 0] * X + T[0, 1] * Y + T[0, 2] * Z + T[0, 3]) / z
     y = (T[1, 0] * X + T[1, 1] * Y + T[1, 2] * Z + T[1, 3]) / z
-    fx, fy, cx, cy, k1, k2, p1, p2, k3, left, top, right, bottom = lens
-    if not (left <= fx * x + cx <= right and top <= fy * y + cy <= bottom):
+    left, top, right, bottom = view.bounds_px
+    if not (left <= lens.fx * x + lens.cx <= right and top <= lens.fy * y + lens.cy <= bottom):
         return z, -1, -1
-    r2 = x * x + y * y
-    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    u = fx * (x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)) + cx
-    v = fy * (y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y) + cy
+    u, v = distorted(lens, x, y)
     return z, int(np.floor(u + 0.5)), int(np.floor(v + 0.5))
 
 
 @njit(nogil=True, cache=True)
 def _ask(
-    depth_m: F32,
-    T_cam_world: F64,
-    lens: F64,
+    view: _Taken,
     points_world_m: F64,
     tolerance_m: float,
     tolerance_share: float,
@@ -137,9 +142,10 @@ def _ask(
     passed: I32,
 ) -> None:
     """Add what one depth image (H, W) says of points (N, 3) to `agree` and `passed` (N,); see `sightings`."""
+    depth_m = view.depth_m
     height, width = depth_m.shape
     for i in range(len(points_world_m)):
-        z, column, row = _seen_at(T_cam_world, lens, points_world_m[i, 0], points_world_m[i, 1], points_world_m[i, 2])
+        z, column, row = _seen_at(view, points_world_m[i, 0], points_world_m[i, 1], points_world_m[i, 2])
         if min(column, row) < reach_px or column >= width - reach_px or row >= height - reach_px:
             continue
         all_behind, any_there = depth_m[row, column] > 0.0, False
@@ -156,10 +162,8 @@ def _ask(
 
 @njit(nogil=True, cache=True)
 def _add_offsets(
-    depth_m: F32,
+    view: _Taken,
     T_world_cam: F64,
-    T_cam_world: F64,
-    lens: F64,
     points_world_m: F64,
     tolerance_m: float,
     tolerance_share: float,
@@ -167,9 +171,10 @@ def _add_offsets(
     count: I32,
 ) -> None:
     """Add the way from each point (N, 3) to the surface that one image (H, W) sees near it; see `settled`."""
+    depth_m = view.depth_m
     height, width = depth_m.shape
     for i in range(len(points_world_m)):
-        z, column, row = _seen_at(T_cam_world, lens, points_world_m[i, 0], points_world_m[i, 1], points_world_m[i, 2])
+        z, column, row = _seen_at(view, points_world_m[i, 0], points_world_m[i, 1], points_world_m[i, 2])
         if min(column, row) < 0 or column >= width or row >= height:
             continue
         seen = depth_m[row, column]

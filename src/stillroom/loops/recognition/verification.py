@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from stillroom.data.map import Map
-from stillroom.features.matching import Queries, Targets, consistent_rotation, search_windows
+from stillroom.features.matching import consistent_rotation
 from stillroom.features.places.branch_matching import match_by_branch
 from stillroom.features.places.place_index import PlaceIndex
-from stillroom.features.projection import Projection, project_points
+from stillroom.features.projection import Window, keyframe_targets, projected, search_around
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64, I32, I64, Bool, Floats
 from stillroom.geometry.camera import Camera
@@ -116,7 +116,7 @@ class Verifier:
         fix = self._search_and_fit(surroundings, fix[0], keyframe, world)
         if fix is None or len(fix[1]) < config.min_total:
             return None
-        n_visible = int(self._project(surroundings, fix[0], world).visible.sum())
+        n_visible = int(projected(surroundings, fix[0], self.camera, world).visible.sum())
         if len(fix[1]) < config.min_share * n_visible:
             return None
         T_world_cam = se3.orthonormalize(se3.inverse(fix[0]))
@@ -180,35 +180,9 @@ class Verifier:
         return estimate.T_cam_world, pairs.keep(estimate.is_inlier)
 
     def _search(self, ids: I32, T_cam_world: F64, keyframe: int, world: Map) -> _Pairs:
-        table, points, rows = world.keypoints, world.points, world.rows(keyframe)
-        projection = self._project(ids, T_cam_world, world)
-        visible = np.flatnonzero(projection.visible)
-        octave = projection.octave[visible]
-        queries = Queries(
-            projection.px[visible],
-            (self.config.window_px * world.scales.factors[octave]).astype(np.float32),
-            octave - 1,
-            octave + 1,
-            projection.right_px[visible],
-            points.descriptors[ids[visible]],
-        )
-        targets = Targets(
-            table.px[rows], table.octave[rows], table.right_px[rows], table.descriptors[rows], table.is_static[rows]
-        )
-        query, target = search_windows(queries, targets)
-        return _Pairs(rows.start + target.astype(np.int64), ids[visible][query])
-
-    def _project(self, ids: I32, T_cam_world: F64, world: Map) -> Projection:
-        points = world.points
-        return project_points(
-            T_cam_world,
-            self.camera,
-            world.scales.factors,
-            points.position_m[ids],
-            points.normal[ids],
-            points.min_distance_m[ids],
-            points.max_distance_m[ids],
-        )
+        window, targets = Window(self.config.window_px), keyframe_targets(keyframe, world)
+        found = search_around(ids, T_cam_world, self.camera, world, targets, window)
+        return _Pairs(world.rows(keyframe).start + found.target.astype(np.int64), found.point_ids)
 
 
 def _errors2(T: F64, points_m: F64, seen_px: Floats, camera: Camera) -> F64:

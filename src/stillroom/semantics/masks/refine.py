@@ -7,6 +7,7 @@ import numpy as np
 
 from stillroom.bounds import bounded
 from stillroom.geometry.arrays import F32, U8, Bool
+from stillroom.geometry.growing import Shape, element, grown
 from stillroom.semantics.masks.segments import Segments
 
 FEWEST = 12
@@ -58,8 +59,9 @@ def refined(segments: Segments, depth_m: F32, config: RefineConfig) -> Segments:
     label, depth_m = segments.label[around], depth_m[around]
     mask = label > 0
     known = depth_m > 0
-    inner = cv2.erode(mask.view(np.uint8), _disc(band_px), borderType=cv2.BORDER_REPLICATE) != 0
-    outer = cv2.dilate(mask.view(np.uint8), _disc(band_px)) == 0
+    disc = element(band_px, Shape.ELLIPSE)
+    inner = cv2.erode(mask.view(np.uint8), disc, borderType=cv2.BORDER_REPLICATE) != 0
+    outer = ~grown(mask, band_px, Shape.ELLIPSE)
     body_m, has_body = _mean_depth(depth_m, inner & known, window_px)
     ground_m, has_ground = _mean_depth(depth_m, outer & known, window_px)
     to_body, to_ground = np.abs(depth_m - body_m), np.abs(depth_m - ground_m)
@@ -74,9 +76,9 @@ def _changed(segments: Segments, around: tuple[slice, slice], goes: Bool, comes:
     """Return segments without some pixels, and with others, which take the label of what is next to them."""
     label, probability = segments.label.copy(), segments.probability.copy()
     part, likely = label[around], probability[around]
-    grown = cv2.dilate(part, _disc(band_px))
+    beside = cv2.dilate(part, element(band_px, Shape.ELLIPSE))
     part[goes] = 0
-    part[comes] = grown[comes]
+    part[comes] = beside[comes]
     likely[comes] = np.maximum(likely[comes], 0.5)
     likely[goes] = np.minimum(likely[goes], 0.49)
     return replace(segments, label=label, probability=probability)
@@ -106,8 +108,3 @@ def _surroundings(label: U8, margin_px: int) -> tuple[slice, slice]:
     x, y, width, height = cv2.boundingRect(label)
     rows = slice(max(y - margin_px, 0), min(y + height + margin_px, label.shape[0]))
     return rows, slice(max(x - margin_px, 0), min(x + width + margin_px, label.shape[1]))
-
-
-def _disc(radius_px: int) -> U8:
-    side = 2 * radius_px + 1
-    return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side)), dtype=np.uint8)

@@ -7,7 +7,7 @@ import numpy as np
 
 from stillroom.bounds import bounded
 from stillroom.data.semantics import Box, Semantics, nothing
-from stillroom.geometry.arrays import Bool
+from stillroom.geometry.growing import Shape, grown
 from stillroom.semantics.masks.segments import Segments
 
 
@@ -70,19 +70,10 @@ def as_semantics(
     boxes = _boxes(segments, names, height, width, age) if config.boxes else ()
     soft = cv2.resize(segments.mask.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR)
     mask = np.asarray(soft) >= 0.5
-    grown = _grown(mask, config.dilate_px)
-    if config.crowd_px < config.dilate_px and np.count_nonzero(grown) > config.crowd_share * grown.size:
-        grown = _grown(mask, config.crowd_px)
-    return Semantics(height, width, boxes, grown, named=named)
-
-
-def _grown(mask: Bool, reach_px: int) -> Bool:
-    """Return a mask (H, W) grown by a disc."""
-    if reach_px == 0:
-        return mask
-    side = 2 * reach_px + 1
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
-    return np.asarray(cv2.dilate(mask.view(np.uint8), disc)).view(np.bool_)
+    movable = grown(mask, config.dilate_px, Shape.ELLIPSE)
+    if config.crowd_px < config.dilate_px and np.count_nonzero(movable) > config.crowd_share * movable.size:
+        movable = grown(mask, config.crowd_px, Shape.ELLIPSE)
+    return Semantics(height, width, boxes, movable, named=named)
 
 
 def _boxes(segments: Segments, names: tuple[str, ...], height: int, width: int, age: int) -> tuple[Box, ...]:

@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 
 from stillroom.geometry.arrays import F32, Bool
+from stillroom.geometry.growing import Shape, element
 from stillroom.viz.cloud.splat import Splats
 
 HEADLIGHT = 0.25
@@ -32,7 +33,7 @@ def fill_gaps(splats: Splats, gap_px: int) -> tuple[Splats, Bool]:
     covered = (splats.nearest >= 0).astype(np.uint8)
     if gap_px < 1:
         return splats, covered.astype(np.bool_)
-    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (gap_px | 1, gap_px | 1))
+    kernel = element(gap_px // 2, Shape.ELLIPSE)
     closed = np.asarray(cv2.morphologyEx(covered, cv2.MORPH_CLOSE, kernel), dtype=np.bool_)
     gaps = closed & (covered == 0)
     sigma = gap_px / 2.0

@@ -1,0 +1,24 @@
+"""Values of images at points."""
+
+import numpy as np
+
+from stillroom.geometry.pixels import values_at
+
+IMAGE = np.arange(12, dtype=np.int16).reshape(3, 4)
+
+
+def test_a_point_has_the_value_of_the_pixel_whose_centre_is_nearest_column_first() -> None:
+    px = np.array([[0.0, 0.0], [2.4, 0.6], [2.6, 1.4], [3.0, 2.0]], dtype=np.float32)
+    found = values_at(IMAGE, px)
+    assert found.tolist() == [0, 6, 7, 11]
+    assert found.dtype == np.int16
+
+
+def test_between_two_pixels_it_is_the_even_one() -> None:
+    assert values_at(IMAGE, np.array([[0.5, 0.5], [1.5, 1.5]])).tolist() == [0, 10]
+
+
+def test_outside_it_is_the_nearest_of_the_edge() -> None:
+    px = np.array([[-3.0, -0.6], [9.0, -2.0], [-1.0, 7.0], [4.2, 2.6]])
+    assert values_at(IMAGE, px).tolist() == [0, 3, 8, 11]
+    assert len(values_at(IMAGE, np.zeros((0, 2)))) == 0

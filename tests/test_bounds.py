@@ -47,7 +47,7 @@ class Inner:
     far_m: float = bounded(5.0, above=0)
 
     def contradiction(self) -> tuple[str, str] | None:
-        return None if self.near_m < self.far_m else ("far_m", "it must be above near_m")
+        return None if self.near_m < self.far_m else ("far_m", "near_m")
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ def test_messages_have_the_dotted_name() -> None:
     check(Outer())
     for inner, name, said in (
         (Inner(near_m=-1.0), "", r"^'inner\.near_m' is -1\.0; it must be 0 or more$"),
-        (Inner(near_m=7.0), "dense", r"^'dense\.inner\.far_m' is 5\.0; it must be above near_m$"),
+        (Inner(near_m=7.0), "dense", r"^'dense\.inner\.far_m' is 5\.0; it must be above 'dense\.inner\.near_m', 7$"),
     ):
         with pytest.raises(ConfigError, match=said):
             check(Outer(inner), name)
@@ -106,7 +106,9 @@ def test_what_a_file_says_may_be_sound_with_the_command_line_only(tmp_path: Path
     file = tmp_path / "far.toml"
     file.write_text("[features]\nmin_depth_m = 25.0\n")
     assert configure("orb-slam2", file, ["features.max_depth_m=30"]).features.max_depth_m == 30.0
-    with pytest.raises(ConfigError, match=r"^'features\.max_depth_m' is 20\.0; it must be above min_depth_m, 25$"):
+    with pytest.raises(
+        ConfigError, match=r"^'features\.max_depth_m' is 20\.0; it must be above 'features\.min_depth_m', 25$"
+    ):
         configure("orb-slam2", file)
 
 

@@ -74,7 +74,7 @@ class Contradictory(Protocol):
     """A config whose settings may contradict each other."""
 
     def contradiction(self) -> tuple[str, str] | None:
-        """Return the key of a setting that does not go with the others, and what it must be; None where all do."""
+        """Return the key of a setting, and of the one that it must be above and is not; None where all fit."""
 
 
 def bounded(
@@ -109,8 +109,8 @@ def check(config: Any, name: str = "", relations: bool = True) -> None:
         elif BOUNDS in one.metadata:
             _refuse(dotted, value, one.metadata[BOUNDS].problem(value))
     if relations and isinstance(config, Contradictory) and (found := config.contradiction()) is not None:
-        key, words = found
-        _refuse(f"{name}.{key}" if name else key, getattr(config, key), words)
+        key, lower = ((f"{name}.{one}" if name else one) for one in found)
+        _refuse(key, getattr(config, found[0]), f"it must be above '{lower}', {getattr(config, found[1]):g}")
 
 
 def _refuse(dotted: str, value: Any, words: str | None) -> None:

@@ -281,7 +281,10 @@ def test_a_plan_that_would_be_too_large_is_refused() -> None:
     ("config", "words"),
     [
         (OccupancyConfig(resolution_m=0.0), "occupancy.resolution_m"),
-        (OccupancyConfig(obstacle_from_m=2.0), "occupancy.obstacle_to_m' is 1.8; it must be above obstacle_from_m, 2"),
+        (
+            OccupancyConfig(obstacle_from_m=2.0),
+            "occupancy.obstacle_to_m' is 1.8; it must be above 'occupancy.obstacle_from_m', 2",
+        ),
         (OccupancyConfig(obstacle_from_m=0.0), "occupancy.obstacle_from_m"),
     ],
 )

@@ -44,7 +44,7 @@ class SurfaceConfig:
 
     def contradiction(self) -> tuple[str, str] | None:
         """Return that the nearest depth is not below the farthest."""
-        return None if self.near_m < self.far_m else ("far_m", f"it must be above near_m, {self.near_m:g}")
+        return None if self.near_m < self.far_m else ("far_m", "near_m")
 
 
 @dataclass(frozen=True)

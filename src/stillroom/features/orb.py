@@ -270,7 +270,7 @@ class OrbConfig:
     def contradiction(self) -> tuple[str, str] | None:
         """Return that the nearest depth is not below the farthest."""
         fits = self.min_depth_m < self.max_depth_m
-        return None if fits else ("max_depth_m", f"it must be above min_depth_m, {self.min_depth_m:g}")
+        return None if fits else ("max_depth_m", "min_depth_m")
 
     @property
     def scales(self) -> ScaleLevels:

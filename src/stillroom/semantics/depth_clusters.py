@@ -64,7 +64,7 @@ class DepthClustersConfig:
     def contradiction(self) -> tuple[str, str] | None:
         """Return that the nearest depth is not below the farthest."""
         fits = self.min_depth_m < self.max_depth_m
-        return None if fits else ("max_depth_m", f"it must be above min_depth_m, {self.min_depth_m:g}")
+        return None if fits else ("max_depth_m", "min_depth_m")
 
     def build(self, parts: Parts) -> "DepthClusterer":
         """Return the clusterer; it makes no random choice.

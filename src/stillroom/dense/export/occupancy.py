@@ -44,7 +44,7 @@ class OccupancyConfig:
     def contradiction(self) -> tuple[str, str] | None:
         """Return that obstacles do not begin below where they end."""
         fits = self.obstacle_from_m < self.obstacle_to_m
-        return None if fits else ("obstacle_to_m", f"it must be above obstacle_from_m, {self.obstacle_from_m:g}")
+        return None if fits else ("obstacle_to_m", "obstacle_from_m")
 
     def build(self) -> "FloorPlanner":
         """Return what draws floor plans so.

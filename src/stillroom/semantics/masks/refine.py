@@ -36,7 +36,7 @@ class RefineConfig:
 
     def contradiction(self) -> tuple[str, str] | None:
         """Return that the window is not larger than the band."""
-        return None if self.window_px > self.band_px else ("window_px", f"it must be above band_px, {self.band_px}")
+        return None if self.window_px > self.band_px else ("window_px", "band_px")
 
 
 def refined(segments: Segments, depth_m: F32, config: RefineConfig) -> Segments:

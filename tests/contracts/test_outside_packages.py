@@ -124,6 +124,17 @@ def test_an_outside_sieve_stands_alone_or_in_a_chain(install: Install) -> None:
     assert updated(SlamConfig(), tomllib.loads(to_toml(config))) == config
 
 
+def test_a_wrong_entry_beside_a_good_one_is_said_in_one_line(install: Install) -> None:
+    install(
+        "stillroom.segmenters",
+        "absent = mine_of_a_test:Absent\nmine = mine_of_a_test:MineConfig",
+        "from dataclasses import dataclass\nfrom stillroom.semantics.nothing import NothingConfig\n"
+        "@dataclass(frozen=True)\nclass MineConfig(NothingConfig):\n    pass\n",
+    )
+    with pytest.raises(ConfigError, match=r"^entry point 'absent' of mine, .*: cannot be imported \(AttributeError"):
+        to_toml(with_overrides(SlamConfig(), ["semantics.kind=mine"]))
+
+
 def choose(section: str, kind: str) -> Callable[[], object]:
     return lambda: with_overrides(SlamConfig(), [f"{section}.kind={kind}"])
 

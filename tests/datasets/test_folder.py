@@ -116,6 +116,18 @@ def test_an_impossible_rate_is_said(fps: float, plain: Path) -> None:
         open_folder(plain, fps=fps)
 
 
+def test_an_impossible_rate_is_said_before_what_is_wrong_with_the_folder(tiny: Path, tmp_path: Path) -> None:
+    (tmp_path / "empty").mkdir()
+    named_like_bonn = tiny.rename(tmp_path / "rgbd_bonn_tiny")
+    for folder in (tmp_path / "empty", named_like_bonn):
+        with pytest.raises(ConfigError, match="fps is -1"):
+            open_dataset(str(folder), fps=-1.0)
+    with pytest.raises(DatasetError, match=r"empty: no rgb\.txt and no folder rgb/ in it"):
+        open_dataset(str(tmp_path / "empty"))
+    with pytest.raises(ConfigError, match=r"rgb\.txt tells the times; leave fps out"):
+        open_dataset(str(named_like_bonn), fps=30.0)
+
+
 def test_a_rate_beside_lists_is_refused(tiny: Path) -> None:
     with pytest.raises(ConfigError, match=r"rgb\.txt tells the times; leave fps out"):
         open_dataset(str(tiny), fps=30.0)

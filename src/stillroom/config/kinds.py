@@ -136,15 +136,21 @@ class Kinds:
         raise ConfigError(f"{self.section}.{KIND} is '{kind}'; did you mean '{guess}'? known: {', '.join(known)}")
 
     def name_of(self, config: object) -> str:
-        """Return the kind of a config."""
+        """Return the kind of a config.
+
+        Raises:
+            ConfigError: An installed package takes a name that is taken, or one whose module is loaded offers what
+                cannot be used.
+        """
         own = type(config)
         for kind, known in self.classes.items():
             if known is own:
                 return kind
-        for kind, entry in self._installed().items():
-            # The class is there, so the module that offers it is loaded; no other package is worth importing for this.
-            if entry.module in sys.modules and entry.load() is own:
-                return kind
+        if self.group is not None:
+            for kind, entry in self._installed().items():
+                # The class is there, so the module that offers it is loaded; no other is worth importing for this.
+                if entry.module in sys.modules and self.group.load(entry) is own:
+                    return kind
         return f"{own.__module__}:{own.__qualname__}"
 
     def _installed(self) -> dict[str, EntryPoint]:

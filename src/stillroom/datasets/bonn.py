@@ -11,9 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from stillroom.data.trajectory import Trajectory
+from stillroom.datasets.folder import open_folder
 from stillroom.datasets.image_sequence import ImageSequence
 from stillroom.datasets.kind import Asked, DatasetKind
-from stillroom.datasets.tum import RGB_LIST_NAME, lists_tell_the_times, open_tum
+from stillroom.datasets.tum import RGB_LIST_NAME, open_tum
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64
 from stillroom.protocols import Dataset
@@ -69,8 +70,8 @@ def _is_bonn(asked: Asked) -> bool:
 
 def _open(asked: Asked, camera: str | None, fps: float | None) -> Dataset:
     assert asked.folder is not None, "recognised by its folder"
-    if fps is not None:
-        raise lists_tell_the_times(asked.folder)
+    if fps is not None:  # refused as for any folder with lists
+        return open_folder(asked.folder, camera, asked.name, fps)
     return open_bonn(asked.folder, camera, asked.name)
 
 

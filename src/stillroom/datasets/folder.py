@@ -14,7 +14,7 @@ import numpy as np
 
 from stillroom.datasets.image_sequence import ImageSequence, Listing, build_sequence, increasing
 from stillroom.datasets.kind import Asked, DatasetKind
-from stillroom.datasets.tum import RGB_LIST_NAME, lists_tell_the_times, open_tum
+from stillroom.datasets.tum import RGB_LIST_NAME, open_tum
 from stillroom.errors import ConfigError, DatasetError
 from stillroom.protocols import Dataset
 
@@ -47,7 +47,7 @@ def open_folder(
         raise ConfigError(f"fps is {fps}; it must be a positive number")
     if (folder / RGB_LIST_NAME).exists():
         if fps is not None:
-            raise lists_tell_the_times(folder)
+            raise ConfigError(f"{folder}: {RGB_LIST_NAME} tells the times; leave fps out")
         return open_tum(folder, camera, name)
     rgb_files, depth_files = _images(folder / "rgb"), _images(folder / "depth")
     if fps is None:

@@ -6,7 +6,7 @@ from pathlib import Path
 from stillroom.data.locations import data_folders, sequence_path
 from stillroom.datasets import archive
 from stillroom.datasets.kind import Asked, DatasetKind
-from stillroom.datasets.registry import all_kinds
+from stillroom.datasets.registry import LAST, all_kinds
 from stillroom.datasets.tum import RGB_LIST_NAME
 from stillroom.errors import DatasetError
 from stillroom.protocols import Dataset
@@ -38,9 +38,8 @@ def open_dataset(path_or_name: str, camera: str | None = None, fps: float | None
         kind = _recognised(asked, kinds)
     if kind is None and asked.folder is None:
         asked, kind = _unpacked(asked, kinds)
-    if kind is None:
-        raise DatasetError(f"{asked.path}: no {RGB_LIST_NAME} and no folder rgb/ in it")
-    return kind.open(asked, camera, fps)
+    # A folder that no kind recognises goes to the plain one, which says what is missing in it.
+    return (kind or LAST).open(asked, camera, fps)
 
 
 def _recognised(asked: Asked, kinds: Iterable[DatasetKind]) -> DatasetKind | None:

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from stillroom.datasets.image_sequence import ImageSequence, Listing, build_sequence, increasing
-from stillroom.errors import ConfigError, DatasetError
+from stillroom.errors import DatasetError
 
 RGB_LIST_NAME, DEPTH_LIST_NAME = "rgb.txt", "depth.txt"
 
@@ -25,11 +25,6 @@ def open_tum(folder: Path, camera: str | None = None, name: str | None = None) -
         raise DatasetError(f"{folder}: no such folder")
     rgb, depth = read_list(folder / RGB_LIST_NAME), read_list(folder / DEPTH_LIST_NAME)
     return build_sequence(folder, rgb, depth, camera, name)
-
-
-def lists_tell_the_times(folder: Path) -> ConfigError:
-    """Return the error of a frame rate that is given for a folder with lists."""
-    return ConfigError(f"{folder}: {RGB_LIST_NAME} tells the times; leave fps out")
 
 
 def read_list(path: Path) -> Listing:

@@ -32,17 +32,6 @@ def test_a_guess_leads_farther_than_the_pyramid_reaches_and_is_not_written_to() 
     assert (np.linalg.norm(alone - moved_px, axis=1) > 3.0).any()
 
 
-def test_on_the_way_back_what_was_covered_does_not_return() -> None:
-    second = shifted((3.0, -2.0))
-    second[45:75, 55:90] = cv2.GaussianBlur(RNG.integers(0, 256, (30, 35), dtype=np.uint8), (0, 0), 2.0)
-    covered = (POINTS_PX == (70.0, 60.0)).all(axis=1)
-    _, one_way = FLOW.follow(FIRST, second, POINTS_PX)
-    _, both_ways = OpticalFlow(15, 2, max_return_px=0.5).follow(FIRST, second, POINTS_PX)
-    assert one_way[covered].all()
-    assert not both_ways[covered].any()
-    assert both_ways[(POINTS_PX != (70.0, 60.0)).all(axis=1)].all()
-
-
 def test_no_points_are_fine() -> None:
     second_px, is_found = FLOW.follow(FIRST, FIRST, np.zeros((0, 2), np.float32))
     assert second_px.shape == (0, 2)

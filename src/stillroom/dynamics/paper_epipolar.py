@@ -2,16 +2,15 @@
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 from stillroom.data.frame import Frame
 from stillroom.data.matches import Matches
 from stillroom.data.motion import Motion, Stage
 from stillroom.data.question import Question
-from stillroom.geometry.arrays import F64, Bool
+from stillroom.geometry.arrays import Bool
 from stillroom.geometry.epipolar import line_distances_px
-from stillroom.geometry.robust import usac
+from stillroom.geometry.robust import find_fundamental, usac
 from stillroom.protocols import Parts
 
 _MIN_FOR_F = 15
@@ -70,16 +69,8 @@ class PaperEpipolarSieve:
         now_px = frame.keypoints.px[matches.keypoint].astype(np.float64)
         if np.count_nonzero(~inside) < _MIN_FOR_F or not inside.any():
             return np.zeros(len(matches), dtype=np.bool_)
-        F = self._fundamental(then_px[~inside], now_px[~inside])
-        if F is None:
+        found = find_fundamental(then_px[~inside], now_px[~inside], self._usac)
+        if found is None:
             return np.zeros(len(matches), dtype=np.bool_)
         limit_px = self.config.motion_model_px if stage is Stage.MOTION_MODEL else self.config.keyframe_px
-        return inside & (line_distances_px(F, then_px, now_px) > limit_px)
-
-    def _fundamental(self, then_px: F64, now_px: F64) -> F64 | None:
-        """Estimate F (3, 3) from pairs (M, 2); None where they do not determine one."""
-        try:
-            F, _ = cv2.findFundamentalMat(then_px, now_px, self._usac)
-        except cv2.error:  # OpenCV's way of saying that every sample was degenerate.
-            return None
-        return None if F is None or F.shape != (3, 3) else np.asarray(F, dtype=np.float64)
+        return inside & (line_distances_px(found[0], then_px, now_px) > limit_px)

@@ -18,13 +18,10 @@ class OpticalFlow:
     Attributes:
         window_px: Side of the square around a point that is found again.
         levels: Levels of the pyramid above the image.
-        max_return_px: A point counts as found only if it comes back to within this distance when it is followed from
-            there to the first image [px]; None asks for no way back.
     """
 
     window_px: int
     levels: int
-    max_return_px: float | None = None
 
     def follow(self, first: U8, second: U8, first_px: F32, guess_px: F32 | None = None) -> tuple[F32, Bool]:
         """Find points (N, 2) [px] of one image (H, W) in another.
@@ -37,13 +34,6 @@ class OpticalFlow:
         Returns:
             Where they are in the second (N, 2) float32 [px], and which were found (N,).
         """
-        second_px, is_found = self._one_way(first, second, first_px, guess_px)
-        if self.max_return_px is not None:
-            back_px, is_back = self._one_way(second, first, second_px, first_px)
-            is_found = is_found & is_back & (np.linalg.norm(back_px - first_px, axis=1) <= self.max_return_px)
-        return second_px, is_found
-
-    def _one_way(self, first: U8, second: U8, first_px: F32, guess_px: F32 | None) -> tuple[F32, Bool]:
         if len(first_px) == 0:
             return np.zeros((0, 2), dtype=np.float32), np.zeros(0, dtype=np.bool_)
         points = np.ascontiguousarray(first_px, dtype=np.float32).reshape(-1, 1, 2)

@@ -7,7 +7,7 @@ import numba
 import numpy as np
 
 from stillroom.geometry.arrays import F64, U8, Bool, Floats
-from stillroom.geometry.robust import usac
+from stillroom.geometry.robust import find_homography, usac
 
 MIN_PAIRS = 8
 """Four pairs determine a homography; with fewer than twice as many none of them is checked by another."""
@@ -53,14 +53,10 @@ def estimate(
     if len(first_px) < MIN_PAIRS:
         return None
     first, second = (np.ascontiguousarray(px, dtype=np.float64) for px in (first_px, second_px))
-    try:
-        found, agrees = cv2.findHomography(first, second, usac(inlier_px, seed, 0.995, magsac))
-    except cv2.error:  # OpenCV's way of saying that every sample was degenerate.
+    found = find_homography(first, second, usac(inlier_px, seed, 0.995, magsac))
+    if found is None:
         return None
-    if found is None or found.shape != (3, 3) or not np.all(np.isfinite(found)):
-        return None
-    H: F64 = np.asarray(found, dtype=np.float64)
-    is_inlier = np.asarray(agrees, dtype=np.bool_).ravel()
+    H, is_inlier = found
     if is_inlier.sum() < MIN_PAIRS or not _is_regular(H, first):
         return None
     return _fit(H, first, second, is_inlier)
@@ -73,7 +69,7 @@ def refine(
 
     Differs from the paper: Eq. 11 counts the error in the second image alone, as if the first had no noise; by default
     the error in the first image is added (Hartley and Zisserman, Eq. 4.7), so that the answer does not depend on which
-    image is called the first. The inliers are chosen anew, by a limit that follows from their own noise: a fixed one
+    image is called the first. The inliers are chosen again, by a limit that follows from their own noise: a fixed one
     that cuts off good pairs costs more accuracy than the refinement gains.
 
     Args:
@@ -144,7 +140,7 @@ def of_rotation(T_second_first: Floats, K: Floats) -> F64:
 
 
 def _is_regular(H: Floats, px: F64) -> bool:
-    """Tell whether a homography keeps all points (N, 2) on one side of its horizon and turns nothing inside out."""
+    """Return whether a homography keeps all points (N, 2) on one side of its horizon and turns nothing inside out."""
     w = px @ H[2, :2] + H[2, 2]
     return bool(np.all(w > 0) or np.all(w < 0)) and float(np.linalg.det(H / np.linalg.norm(H)) * np.sign(w[0])) > 1e-12
 

@@ -66,12 +66,11 @@ def splat(cloud: DenseCloud, view: View, radius_m: float, two_sided: bool = Fals
     indices = np.flatnonzero(shown)[drawn].astype(np.int32)
     points_m, normals = points_m[drawn], normals[drawn]
     c = view.camera
-    intrinsics = np.array([c.fx, c.fy, c.cx, c.cy])
     depth_m = np.full((c.height, c.width), np.inf, dtype=np.float32)
     nearest = np.full((c.height, c.width), -1, dtype=np.int32)
-    _nearest(points_m, normals, intrinsics, radius_m, depth_m, nearest)
+    _nearest(points_m, normals, c.lens, radius_m, depth_m, nearest)
     total = np.zeros((c.height, c.width, 8), dtype=np.float32)
-    _blend(points_m, normals, cloud.rgb[indices], intrinsics, radius_m, (depth_m, nearest), total)
+    _blend(points_m, normals, cloud.rgb[indices], c.lens, radius_m, (depth_m, nearest), total)
     total /= np.maximum(total[..., :1], 1e-12)
     # With no points at all there is nothing to look up; −1 stays −1 otherwise too.
     found = np.append(indices, np.int32(-1))[nearest]
@@ -86,13 +85,13 @@ def _span_px(center_px, z_m, focal_px, radius_m, size_px):  # type: ignore[no-un
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _nearest(points_m, normals, intrinsics, radius_m, depth_m, nearest):  # type: ignore[no-untyped-def]
+def _nearest(points_m, normals, lens, radius_m, depth_m, nearest):  # type: ignore[no-untyped-def]
     """Fill the depth buffer (H, W), inf where empty, and the index of the disc that is nearest in each pixel.
 
     A ray (x, y, 1) meets the plane of the disc at p with normal n at the depth n·p / n·(x, y, 1).
     """
     height, width = depth_m.shape
-    fx, fy, cx, cy = intrinsics
+    fx, fy, cx, cy = lens.fx, lens.fy, lens.cx, lens.cy
     for i in range(len(points_m)):
         px, py, pz = points_m[i]
         nx, ny, nz = normals[i]
@@ -118,11 +117,11 @@ def _nearest(points_m, normals, intrinsics, radius_m, depth_m, nearest):  # type
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _blend(points_m, normals, rgb, intrinsics, radius_m, front, total):  # type: ignore[no-untyped-def]
+def _blend(points_m, normals, rgb, lens, radius_m, front, total):  # type: ignore[no-untyped-def]
     """Add weight, depth, normal and colour of all discs that lie near the front, from `_nearest`, to sums (H, W, 8)."""
     depth_m, nearest = front
     height, width = depth_m.shape
-    fx, fy, cx, cy = intrinsics
+    fx, fy, cx, cy = lens.fx, lens.fy, lens.cx, lens.cy
     for i in range(len(points_m)):
         px, py, pz = points_m[i]
         nx, ny, nz = normals[i]

@@ -42,7 +42,7 @@ class Remains:
         return patches.shape_m, patches.kind[:, 0] == 1
 
     def stays(self, instance: U8, time_s: float) -> Bool:
-        """Tell of an image taken at a moment which pixels show the static part.
+        """Return which pixels of an image taken at a moment show the static part.
 
         Args:
             instance: What each pixel shows (H, W), see `FrameTruth`.

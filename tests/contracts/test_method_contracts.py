@@ -10,7 +10,7 @@ import pytest
 from stillroom.config import SlamConfig, with_overrides
 from stillroom.datasets.open import open_dataset
 from stillroom.datasets.selection import select
-from stillroom.evaluation.ate import ate
+from stillroom.evaluation.trajectory_errors import ate
 from stillroom.methods.method import Method
 from stillroom.methods.registry import OWN
 from stillroom.protocols import Dataset, Segmenter

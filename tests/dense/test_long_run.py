@@ -27,7 +27,7 @@ GROWTH_MB = 200.0
 class Walk:
     """A walk with true poses and masks, mapped as a run maps it: a keyframe now and then, the others carve.
 
-    In its first part keyframes drift off; a loop closure then puts them where they were, and all is fused anew.
+    In its first part keyframes drift off; a loop closure then puts them where they were, and all is fused again.
 
     Attributes:
         room: Where.

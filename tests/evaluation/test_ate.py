@@ -9,7 +9,7 @@ from evo.core.trajectory import PoseTrajectory3D
 
 from stillroom.data.trajectory import Trajectory, read_tum
 from stillroom.errors import TrajectoryError
-from stillroom.evaluation.ate import ate, pair, still_camera_m
+from stillroom.evaluation.trajectory_errors import ate, pair, still_camera_m
 
 NAMES = ("rmse", "mean", "median", "std", "min", "max")
 

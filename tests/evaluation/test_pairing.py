@@ -4,7 +4,7 @@ import numpy as np
 from evo.core.sync import matching_time_indices
 
 from stillroom.data.trajectory import Trajectory
-from stillroom.evaluation.ate import pair
+from stillroom.evaluation.trajectory_errors import pair
 
 
 def test_pairs_are_evos_made_one_to_one(case: tuple[Trajectory, Trajectory]) -> None:

@@ -7,8 +7,8 @@ import pytest
 
 from stillroom.data.trajectory import Trajectory
 from stillroom.errors import TrajectoryError
-from stillroom.evaluation.ate import ate, rpe, rpe_frames
 from stillroom.evaluation.report import HEADER, as_text, evaluate, from_json, lines, percent, rows, to_json
+from stillroom.evaluation.trajectory_errors import ate, rpe, rpe_frames
 from stillroom.geometry import se3
 
 T_MARKER_CAMERA = se3.exp(np.array([0.02, -0.1, 0.05, 0.2, -0.4, 0.1]))

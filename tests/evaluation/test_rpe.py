@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from stillroom.data.trajectory import Trajectory
 from stillroom.errors import TrajectoryError
-from stillroom.evaluation.ate import RelativeError, pair, rpe, rpe_frames
+from stillroom.evaluation.trajectory_errors import RelativeError, pair, rpe, rpe_frames
 from stillroom.geometry import se3
 
 NAMES = ("rmse", "mean", "median", "std", "min", "max")

@@ -2,7 +2,7 @@
 
 import pytest
 
-from stillroom.evaluation.ate import Spread, Statistics, improvement_percent
+from stillroom.evaluation.trajectory_errors import Spread, Statistics, improvement_percent
 
 
 def test_statistics_of_a_known_list() -> None:

@@ -26,7 +26,7 @@ def best_two(bits: np.ndarray, allowed: np.ndarray) -> tuple[int, int]:
 
 
 def windows_allow(queries: Queries, targets: Targets, q: int) -> np.ndarray:
-    """Tell which targets (N,) lie in the window of query q."""
+    """Return which targets (N,) lie in the window of query q."""
     allowed = targets.usable & (targets.octave >= queries.min_octave[q]) & (targets.octave <= queries.max_octave[q])
     allowed &= (np.abs(targets.px - queries.px[q]) <= queries.radius_px[q]).all(axis=1)
     if queries.right_px[q] >= 0:

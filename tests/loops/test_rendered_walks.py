@@ -7,7 +7,7 @@ import pytest
 
 from stillroom.data.trajectory import Trajectory
 from stillroom.datasets.open import open_dataset
-from stillroom.evaluation.ate import ate
+from stillroom.evaluation.trajectory_errors import ate
 from stillroom.geometry import se3
 from stillroom.loops.loop_closer import LoopCloser
 from stillroom.loops.recognition.verification import Loop

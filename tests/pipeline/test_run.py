@@ -19,9 +19,9 @@ from stillroom.data.result import FrameResult
 from stillroom.data.trajectory import read_tum
 from stillroom.datasets.selection import Selected, select
 from stillroom.errors import ConfigError, FrameError, StillroomError
-from stillroom.evaluation.ate import ate
 from stillroom.evaluation.report import from_json
 from stillroom.evaluation.timing import FRAME
+from stillroom.evaluation.trajectory_errors import ate
 from stillroom.methods.registry import configure, method
 from stillroom.pipeline import RunOptions, RunOutcome, Source, evaluate_folder, run
 from stillroom.pipeline.options import detector_ranges

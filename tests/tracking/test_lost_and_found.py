@@ -15,7 +15,7 @@ from stillroom.data.result import FrameResult, Recovery, TrackingState
 from stillroom.datasets.open import open_dataset
 from stillroom.datasets.selection import select
 from stillroom.dense.nothing import NoDenseMapConfig
-from stillroom.evaluation.ate import ate
+from stillroom.evaluation.trajectory_errors import ate
 from stillroom.methods.registry import method
 from stillroom.protocols import Dataset
 from stillroom.system import Slam, build
@@ -127,7 +127,7 @@ class TestStrangePlace:
 
 
 class TestSubmaps:
-    """Relocalization is switched off, so that a lost camera must begin anew; joining then has to find the place."""
+    """Relocalization is switched off, so that a lost camera must begin again; joining then has to find the place."""
 
     @pytest.mark.parametrize("gap", [{"drop": ["46:84"]}, {"blackout": ["40:43"]}], ids=["kidnapped", "blinded"])
     def test_a_new_piece_is_begun_and_joined(self, freiburg1: Path, gap: dict[str, list[str]]) -> None:

@@ -14,7 +14,7 @@ from stillroom.data.motion import Motion
 from stillroom.data.result import FrameResult, Tracked, TrackingState
 from stillroom.datasets.open import open_dataset
 from stillroom.datasets.selection import select
-from stillroom.evaluation.ate import ate
+from stillroom.evaluation.trajectory_errors import ate
 from stillroom.geometry import se3
 from stillroom.protocols import Dataset
 from stillroom.system import Slam, build

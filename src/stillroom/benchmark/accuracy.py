@@ -5,8 +5,8 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from stillroom.benchmark.trial import Trial
-from stillroom.evaluation.ate import Spread, improvement_percent
 from stillroom.evaluation.report import percent
+from stillroom.evaluation.trajectory_errors import Spread, improvement_percent
 
 HEADER = ("method", "ATE median", "mean", "min", "max", "improvement", "tracked", "RPE m/s", "deg/s")
 """Names of the columns of `Accuracy.row`; ATE in m."""

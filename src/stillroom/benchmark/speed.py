@@ -140,7 +140,7 @@ class UnitMeter(View):
         self.wall_ms: list[float] = []
 
     def forget(self) -> None:
-        """Start anew."""
+        """Start again."""
         self._n_loaded = 0
         self.cpu_ms, self.wall_ms = [], []
 

@@ -9,8 +9,8 @@ import typer
 from stillroom.cli.output import STDERR, FrameBar, print_lines, print_table, say, show_log
 from stillroom.cli.warmup import ensure_warm
 from stillroom.config import SlamConfig
-from stillroom.evaluation.ate import improvement_percent
 from stillroom.evaluation.report import Evaluation, percent
+from stillroom.evaluation.trajectory_errors import improvement_percent
 from stillroom.methods.registry import configure
 from stillroom.pipeline import RunOptions, RunOutcome, Source, run
 from stillroom.pipeline.plots import draw_plots

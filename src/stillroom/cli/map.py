@@ -16,7 +16,7 @@ MOST_SHOWN = 20
 
 
 def check(path: MapPath) -> None:
-    """Tell whether a map file is whole.
+    """Return whether a map file is whole.
 
     Every observation's keyframe, point and keypoint must exist, every pose must be rigid, every number finite.
 

@@ -165,7 +165,7 @@ class RunBar:
 
 
 class FrameBar:
-    """Starts anew for each run and leaves nothing behind; without a terminal it is silent.
+    """Starts again for each run and leaves nothing behind; without a terminal it is silent.
 
     Attributes:
         label: What stands before the bar of the next run.

@@ -56,7 +56,7 @@ def _candidates(first_s: F64, second_s: F64, max_gap_s: float) -> tuple[I64, I64
 
 
 def _crosses(chosen: list[tuple[int, int]], i: int, j: int) -> bool:
-    """Tell whether a pair would swap the order of time with one of the sorted pairs chosen so far."""
+    """Return whether a pair would swap the order of time with one of the sorted pairs chosen so far."""
     place = bisect_left(chosen, (i, j))
     behind = place > 0 and chosen[place - 1][1] > j
     return behind or (place < len(chosen) and chosen[place][1] < j)

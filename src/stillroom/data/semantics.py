@@ -162,7 +162,7 @@ class Semantics:
         return self.instances or connected_parts(self.movable)
 
     def movable_at(self, raw_px: Floats) -> Bool:
-        """Tell for points (N, 2) of the image as taken whether they lie on something movable, (N,)."""
+        """Return for points (N, 2) of the image as taken whether they lie on something movable, (N,)."""
         if not self.has_any or len(raw_px) == 0:
             return np.zeros(len(raw_px), dtype=np.bool_)
         return values_at(self.movable, raw_px)

@@ -39,7 +39,7 @@ UNREADABLE = (
 
 
 def is_archive(path: Path) -> bool:
-    """Tell whether a path names an archive."""
+    """Return whether a path names an archive."""
     return path.name.lower().endswith(SUFFIXES)
 
 

@@ -75,7 +75,7 @@ def _decode(path: Path, flags: int) -> U8 | U16:
 
 
 def _is_cut_off(encoded: bytes) -> bool:
-    """Tell whether a PNG or JPEG lacks its end.
+    """Return whether a PNG or JPEG lacks its end.
 
     Some decoders fill what is missing with gray and say nothing that a program can hear. Phones append data after a
     JPEG's end mark, and thumbnails at its start have end marks of their own, so the second half is searched; the

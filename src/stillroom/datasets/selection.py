@@ -171,7 +171,7 @@ def parse_range(text: str) -> slice:
 
 
 def _touched(option: str, text: str, numbers: I64, kept: Bool, length: int) -> Bool:
-    """Tell which of the kept images (N,) a range touches; a range that touches none is a slip of the pen."""
+    """Return which of the kept images (N,) a range touches; a range that touches none is a slip of the pen."""
     try:
         chosen = parse_range(text)
     except ConfigError as error:

@@ -97,7 +97,7 @@ class Carver:
         self._witnesses.refresh(self.world)
 
     def in_view(self, block_keys: I64, T_world_cam: F64) -> Bool:
-        """Tell of blocks (B,) whether a camera at a pose (4, 4) may see into them."""
+        """Return for blocks (B,) whether a camera at a pose (4, 4) may see into them."""
         centres_m = block_centres_m(block_keys, self.voxels.voxel_m)
         T_cam_world = se3.inverse(T_world_cam)
         return in_frustum(centres_m, self.voxels.block_radius_m, T_cam_world, self._lens, self._size_px, self._far_m)

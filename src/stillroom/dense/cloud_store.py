@@ -55,7 +55,7 @@ class CloudStore:
         return len(self._places)
 
     def __contains__(self, keyframe: int) -> bool:
-        """Tell whether the cloud of a keyframe is kept."""
+        """Return whether the cloud of a keyframe is kept."""
         return keyframe in self._resident or keyframe in self._places
 
     def put(self, keyframe: int, cloud: KeyframeCloud) -> list[int]:

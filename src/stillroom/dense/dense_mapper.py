@@ -29,7 +29,7 @@ CLOUD_SHARE, VOXEL_SHARE, WITNESS_SHARE = 0.45, 0.45, 0.1
 """What keyframe clouds, voxels and earlier depth images may take of the memory."""
 
 PATIENCE = 2.0
-"""Poses of new keyframes go to and fro: while frames come, only what has moved this much more is fused anew."""
+"""Poses of new keyframes go to and fro: while frames come, only what has moved this much more is fused again."""
 
 
 @dataclass(frozen=True)
@@ -40,9 +40,9 @@ class DenseMapperConfig:
         voxel_m: Edge of a voxel [m].
         surface: Which pixels are fused.
         carving: What is taken out again.
-        correction_m: A keyframe is fused anew when its pose in the map has moved a point two metres and a half away by
+        correction_m: A keyframe is fused again when its pose in the map has moved a point two metres and a half away by
             more than this.
-        corrections: Views fused anew with each new keyframe, at most; `refresh` does all.
+        corrections: Views fused again with each new keyframe, at most; `refresh` does all.
         fuse_every: Where so many frames pass without a keyframe, one of them is fused too: a camera that stands still
             makes no keyframes, and things still appear. 0: keyframes only.
         least_pixels: A point needs the weight of this many pixels at one metre; a pixel at four counts 1/16.
@@ -146,7 +146,7 @@ class DenseMapper:
             self._keep_within_bound(T_world_cam)
 
     def refresh(self) -> None:
-        """Fuse all keyframes anew whose poses in the map have changed, culled ones too."""
+        """Fuse all keyframes again whose poses in the map have changed, culled ones too."""
         self._carver.refresh()
         self._correct(None)
 
@@ -190,7 +190,7 @@ class DenseMapper:
         return cloud, normals
 
     def _correct(self, most: int | None) -> None:
-        """Fuse views anew that moved, the farthest moved first; without a limit, those on culled keyframes too."""
+        """Fuse views again that moved, the farthest moved first; without a limit, those on culled keyframes too."""
         tolerance_m = self.config.correction_m * (1.0 if most is None else PATIENCE)
         for view in self._views.moved(self.world, tolerance_m, with_culled=most is None)[:most]:
             T_world_cam = self._views.pose_now(view, self.world)

@@ -18,7 +18,7 @@ class MovingPoints:
         self._tree = cKDTree(points_world_m, balanced_tree=False, compact_nodes=False) if len(points_world_m) else None
 
     def near(self, candidates_world_m: Floats, radius_m: float) -> Bool:
-        """Tell which candidates (N, 3) lie within a radius of the points, (N,)."""
+        """Return which candidates (N, 3) lie within a radius of the points, (N,)."""
         near = np.zeros(len(candidates_world_m), dtype=np.bool_)
         if self._tree is None or len(candidates_world_m) == 0:
             return near
@@ -31,7 +31,7 @@ class MovingPoints:
         return near
 
     def perhaps_near(self, candidates_world_m: F32, radius_m: float) -> Bool:
-        """Tell which candidates (N, 3) may lie within a radius, (N,): all that do, and some a little farther off.
+        """Return which candidates (N, 3) may lie within a radius, (N,): all that do, and some a little farther off.
 
         A look at a grid of cells is a tenth of a question to the tree.
         """
@@ -49,7 +49,7 @@ class MovingPoints:
 
 
 def _inside(points_m: Floats, lower_m: F64, upper_m: F64) -> Bool:
-    """Tell which points (N, 3) lie in a box, axis by axis: numpy is slow along short ones."""
+    """Return which points (N, 3) lie in a box, axis by axis: numpy is slow along short ones."""
     inside = np.ones(len(points_m), dtype=np.bool_)
     for axis in range(3):
         inside &= (points_m[:, axis] >= lower_m[axis]) & (points_m[:, axis] <= upper_m[axis])
@@ -71,7 +71,7 @@ def mark_cells(points_m: F64, lower_m: F64, edge_m: float, marked: U8) -> None:
 
 @njit(nogil=True, cache=True)
 def in_marked_cells(points_m: F32, lower_m: F64, edge_m: float, marked: U8) -> Bool:
-    """Tell which points (N, 3) lie in marked cells (A, B, C), (N,); outside the grid nothing is marked."""
+    """Return which points (N, 3) lie in marked cells (A, B, C), (N,); outside the grid nothing is marked."""
     found = np.zeros(len(points_m), dtype=np.bool_)
     for n in range(len(points_m)):
         x = (points_m[n, 0] - lower_m[0]) / edge_m

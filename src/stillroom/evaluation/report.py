@@ -8,7 +8,7 @@ from typing import Any
 from stillroom.data.association import TUM_MAX_GAP_S
 from stillroom.data.trajectory import Trajectory
 from stillroom.errors import TrajectoryError
-from stillroom.evaluation.ate import RelativeError, Statistics, ate, improvement_percent, rpe, rpe_frames
+from stillroom.evaluation.trajectory_errors import RelativeError, Statistics, ate, improvement_percent, rpe, rpe_frames
 
 AS_GIVEN = "as given"
 AT_CAMERA = "moved to the camera"

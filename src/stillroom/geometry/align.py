@@ -75,5 +75,5 @@ def align_poses(T_source_cam: Floats, T_target_cam: Floats) -> F64:
 
 
 def _in_one_place(centred: Floats, points: Floats) -> bool:
-    """Tell whether points differ by no more than rounding."""
+    """Return whether points differ by no more than rounding."""
     return bool(np.abs(centred).max() <= 1e-12 * (1.0 + np.abs(points).max()))

@@ -86,7 +86,7 @@ def close_loop(
 
 
 def fuse_group(loop: Loop, place: Sequence[int], group: Sequence[int], camera: Camera, world: Map) -> None:
-    """Let the keyframes of a group, which lie right by now, see the points of a place; count anew what they share."""
+    """Let the keyframes of a group, which lie right by now, see the points of a place; count again what they share."""
     take_over(loop.point_ids, loop.rows, world)
     points = world.points_seen_by(np.array(place))
     for keyframe in group:

@@ -130,7 +130,7 @@ class LoopCloser:
         return False
 
     def _is_plausible(self, loop: Loop) -> bool:
-        """Tell whether the map may have drifted by as much as the loop says."""
+        """Return whether the map may have drifted by as much as the loop says."""
         T_is_should = se3.inverse(self.world.keyframes.T_world_cam[loop.keyframe]) @ loop.T_world_cam
         edges = essential_edges(self.world, self.world.covisibility.min_weight)
         way_m = float(paths_from(loop.keyframe, edges, self.world)[loop.candidate])
@@ -159,7 +159,7 @@ class LoopCloser:
         return [k for k, T in chosen if self._may_be_off(T, float(ways_m[k]), config.sight_m, config.sight_rad)]
 
     def _may_be_off(self, T_is_should: F64, way_m: float, more_m: float = 0.0, more_rad: float = 0.0) -> bool:
-        """Tell whether drift along a way, and something more, explains a motion (4, 4)."""
+        """Return whether drift along a way, and something more, explains a motion (4, 4)."""
         config = self.config
         off_m, off_rad = float(np.linalg.norm(T_is_should[:3, 3])), float(se3.angle_rad(T_is_should))
         near = off_m <= config.drift_m + config.drift_m_per_m * way_m + more_m

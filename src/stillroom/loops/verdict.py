@@ -80,7 +80,7 @@ def judge(before: Snapshot, links: LinkChange, world: Map, camera: Camera) -> Ve
 
 
 def fits(rows: Ints, points: Ints, T_world_cam: F64, positions_m: F64, world: Map, camera: Camera) -> Bool:
-    """Tell which rows (O,) see points (O,) where poses (K, 4, 4) and positions (P, 3) [m] say that they are."""
+    """Return which rows (O,) see points (O,) where poses (K, 4, 4) and positions (P, 3) [m] say that they are."""
     table = world.keypoints
     T_cam_world = se3.inverse(T_world_cam)[table.keyframe[rows]]
     points_cam = np.einsum("nij,nj->ni", T_cam_world[:, :3, :3], positions_m[points]) + T_cam_world[:, :3, 3]

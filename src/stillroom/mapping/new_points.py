@@ -128,7 +128,7 @@ def _stereo_cosine(rows: I64, camera: Camera, world: Map) -> F64:
 
 
 def _agrees(positions_m: F64, rows: I64, T_world_cam: F64, camera: Camera, world: Map) -> Bool:
-    """Tell which positions (M, 3) lie before the camera and project to where their rows saw them."""
+    """Return which positions (M, 3) lie before the camera and project to where their rows saw them."""
     table = world.keypoints
     points_cam = se3.transform(se3.inverse(T_world_cam), positions_m)
     ahead = points_cam[:, 2] > 0
@@ -143,7 +143,7 @@ def _agrees(positions_m: F64, rows: I64, T_world_cam: F64, camera: Camera, world
 
 
 def _scale_agrees(positions_m: F64, first: I64, second: I64, world: Map) -> Bool:
-    """Tell where the ratio of distances (M,) fits the ratio of the levels that the keypoints were found on."""
+    """Return where the ratio of distances (M,) fits the ratio of the levels that the keypoints were found on."""
     table = world.keypoints
     centres = world.keyframes.T_world_cam[:, :3, 3]
     near = np.linalg.norm(positions_m - centres[table.keyframe[first]], axis=1)

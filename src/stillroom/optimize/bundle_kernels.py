@@ -185,7 +185,7 @@ def factor_points(H_pp: F64, damping: float, L: F64) -> None:
 def add_product(Za: F64, Zb: F64, block: F64) -> None:
     """Add ZaᵀZb of two (3, 6) to a block (6, 6).
 
-    Zb is read once, into registers: read anew for each row, as the compiler must when it cannot rule out that the
+    Zb is read once, into registers: read again for each row, as the compiler must when it cannot rule out that the
     block lies upon it, this takes nearly twice as long.
     """
     b00, b01, b02, b03, b04, b05 = Zb[0, 0], Zb[0, 1], Zb[0, 2], Zb[0, 3], Zb[0, 4], Zb[0, 5]

@@ -255,7 +255,7 @@ class PoseOptimizer:
         """Optimise the pose and judge every observation.
 
         Rounds of Levenberg–Marquardt on the present inliers, Huber's kernel in the first three and none later; after
-        each round every observation is judged anew, so that an outlier may come back. Points behind the camera are
+        each round every observation is judged again, so that an outlier may come back. Points behind the camera are
         outliers. With fewer than three usable observations the guess comes back and nothing is an inlier.
 
         Differs from ORB-SLAM2: a round starts from the last one's pose, not from the guess again, and the rounds end

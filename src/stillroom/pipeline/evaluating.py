@@ -43,7 +43,7 @@ def evaluate_trajectory(trajectory: Trajectory, truth: results.Truth | None, n_g
 
 
 def evaluate_folder(path: Path, baseline: Path | None = None, write: bool = True) -> Judged:
-    """Measure the run of a results folder anew; its metrics.json and pictures are made again.
+    """Measure the run of a results folder again; its metrics.json and pictures are made again.
 
     Args:
         path: The folder; `latest` may stand for one.

@@ -137,7 +137,7 @@ def _loaded(path: Path, config: SlamConfig) -> StoredMap:
             f"--set features.n_levels={was.count} --set features.scale_factor={was.factor}"
         )
     if len(stored.world.keyframes) == 0:
-        raise MapError(f"{path}: holds no keyframe; there is nothing to recognise; make it anew")
+        raise MapError(f"{path}: holds no keyframe; there is nothing to recognise; make it again")
     return stored
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from stillroom.data.cloud.dense_cloud import DenseCloud
 from stillroom.data.map import submaps
 from stillroom.data.trajectory import Trajectory
-from stillroom.evaluation.ate import ate
+from stillroom.evaluation.trajectory_errors import ate
 from stillroom.system import Slam
 from stillroom.viz.cloud.render import CloudRendererConfig
 from stillroom.viz.cloud.view import default_view

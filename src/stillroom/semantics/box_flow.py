@@ -106,7 +106,7 @@ class Follower:
         return mask[around][: rows // 2 * 2 : 2, : columns // 2 * 2 : 2]
 
     def _stays(self, now: RgbdImage, points_px: Floats, depth_m: float) -> Bool:
-        """Tell which points (N, 2) lie in the image and, where depth is known, near the depth of the box."""
+        """Return which points (N, 2) lie in the image and, where depth is known, near the depth of the box."""
         nearest = np.rint(points_px)
         within = np.all((nearest >= 0) & (nearest < (now.width, now.height)), axis=1)
         at = values_at(now.depth_m, points_px)

@@ -132,7 +132,7 @@ class CarriedBoxes:
         return CarriedBoxes(detector, self._confidence, self._config, self._named)
 
     def _is_strong(self, box: Box, width: int) -> bool:
-        """Tell whether a box is believed at once. People half outside the image look like less than people."""
+        """Return whether a box is believed at once. People half outside the image look like less than people."""
         margin_px = ENTRY_SHARE * width
         entering = box.x_min_px <= margin_px or box.x_max_px >= width - 1 - margin_px
         return box.confidence >= (self._enter_confidence if entering else self._confidence)

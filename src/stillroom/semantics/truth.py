@@ -15,7 +15,7 @@ class TruthConfig:
     """Which part of the truth is told.
 
     Attributes:
-        masks: Tell masks, instances and boxes; else boxes only, as a detector would.
+        masks: Give masks, instances and boxes; else boxes only, as a detector would.
         carry: How boxes are carried on where they are withheld; off, because the renderer misses none.
     """
 

@@ -124,7 +124,7 @@ def _problems_of_covisibility(world: Map) -> Iterator[str]:
 
 
 def are_rigid(poses: F64) -> Bool:
-    """Tell which of the poses (N, 4, 4) are rotations with translations, in finite numbers."""
+    """Return which of the poses (N, 4, 4) are rotations with translations, in finite numbers."""
     R = poses[:, :3, :3]
     with np.errstate(invalid="ignore", over="ignore"):
         off = np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max(axis=(1, 2), initial=0.0)

@@ -28,7 +28,7 @@ class Session:
         method: Name of the method.
         seed: Where every random choice started.
         vocabulary: The file of the vocabulary by which it recognised places; "" for the one that is shipped.
-        vocabulary_digest: Names that very vocabulary. No words are stored: they are looked up anew.
+        vocabulary_digest: Names that very vocabulary. No words are stored: they are looked up again.
         config: The effective config as TOML.
     """
 
@@ -94,7 +94,7 @@ VERSION = 1
 """The version of the format, in the header's `user_version`."""
 
 POINTS_A_BLOCK = 256
-"""Points are stored in blocks of so many ids: a block is written anew when one of its points has changed."""
+"""Points are stored in blocks of so many ids: a block is written again when one of its points has changed."""
 
 TABLES = """
 CREATE TABLE map (

@@ -52,7 +52,7 @@ class KeyframePolicy:
         self._since_recovery = 1 << 30
 
     def wants(self, tracked: Tracked, world: Map) -> bool:
-        """Tell whether the frame should become a keyframe."""
+        """Return whether the frame should become a keyframe."""
         self._since_keyframe += 1
         self._since_recovery = 0 if tracked.recovered else self._since_recovery + 1
         if tracked.state is not TrackingState.OK or not self.config.enabled:

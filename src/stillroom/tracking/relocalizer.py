@@ -1,4 +1,4 @@
-"""Finding the camera again when it was lost: by places, by the last keyframes, or by beginning a piece of map anew."""
+"""Finding the camera again when it was lost: by places, by the last keyframes, or by starting a new piece of map."""
 
 from dataclasses import dataclass, field, replace
 

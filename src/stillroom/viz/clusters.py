@@ -140,7 +140,7 @@ def _tint_labels(picture: U8, labels: I16, colors: tuple[Color, ...]) -> None:
 
 
 def _neighbours(labels: I16, n: int) -> Bool:
-    """Tell which clusters come near each other (K, K)."""
+    """Return which clusters come near each other (K, K)."""
     near = np.zeros((n, n), dtype=np.bool_)
     small = labels[::STEP, ::STEP].astype(np.int64)
     height, width = small.shape
@@ -154,7 +154,7 @@ def _neighbours(labels: I16, n: int) -> Bool:
 
 
 def _moving_clusters(clusters: Clusters, moving: Bool | None) -> Bool:
-    """Tell which clusters (K,) have more than half of their pixels in a mask."""
+    """Return which clusters (K,) have more than half of their pixels in a mask."""
     if moving is None:
         return np.zeros(len(clusters), dtype=np.bool_)
     clustered = clusters.labels >= 0

@@ -30,7 +30,7 @@ def kernel_cache() -> Path | None:
 
 
 def is_warm(renderer: bool = False) -> bool:
-    """Tell whether a warm-up of these sources has been done on this machine.
+    """Return whether a warm-up of these sources has been done on this machine.
 
     Args:
         renderer: Whether the synthetic room's kernels are asked for too.
@@ -49,7 +49,7 @@ def leave_stamps(renderer: bool) -> None:
             stamp.parent.mkdir(parents=True, exist_ok=True)
             stamp.touch()
         except OSError as error:
-            logger.info("%s: cannot be written (%s); kernels are compiled anew each time", stamp, error)
+            logger.info("%s: cannot be written (%s); kernels are compiled again each time", stamp, error)
 
 
 def _stamp(renderer: bool) -> Path | None:

@@ -39,7 +39,7 @@ class BuildingScene(Scene):
 
 
 def _is_ahead(T_world_cam: F64, x_m: float, y_m: float) -> bool:
-    """Tell whether some of a figure at a place may be before the camera, however that is tilted."""
+    """Return whether some of a figure at a place may be before the camera, however that is tilted."""
     towards = np.array([x_m - T_world_cam[0, 3], y_m - T_world_cam[1, 3]])
     forward = T_world_cam[:2, 2]
     tilt = abs(float(T_world_cam[2, 2]))

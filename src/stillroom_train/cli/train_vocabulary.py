@@ -18,7 +18,8 @@ def train_vocabulary(
         int, typer.Option(min=2, metavar="N", help="A node with fewer descriptors than this is not split.")
     ] = 20,
     grow: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Grow this vocabulary on the sequences; do not start anew.")
+        Path | None,
+        typer.Option(metavar="FILE", help="Grow this vocabulary on the sequences instead of starting from nothing."),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, metavar="N", help="Where every random choice starts.")] = 0,
 ) -> None:

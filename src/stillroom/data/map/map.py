@@ -279,7 +279,7 @@ class Map:
         return pose
 
     def connect(self, keyframe: int) -> None:
-        """Count anew with which keyframes this one shares points."""
+        """Count again with which keyframes this one shares points."""
         self.covisibility.connect(keyframe, self.count_shared(self.points_of(keyframe)))
 
     def count_shared(self, point_ids: I32) -> I32:
@@ -372,7 +372,7 @@ class Map:
         return rows
 
     def refresh(self, point_ids: Ints) -> None:
-        """Choose typical descriptors and viewing geometry of points (N,) anew, after their views changed."""
+        """Choose typical descriptors and viewing geometry of points (N,) again, after their views changed."""
         ids = point_ids.astype(np.int32)
         table, points = self.keypoints, self.points
         chosen = np.empty(len(ids), dtype=np.int32)

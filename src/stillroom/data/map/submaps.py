@@ -22,7 +22,7 @@ def origin(submap: int) -> F64:
 
 
 def lies_in(submap: int, positions_m: Floats) -> Bool:
-    """Tell which positions (N, 3) [m, world] lie in the region of a sub-map."""
+    """Return which positions (N, 3) [m, world] lie in the region of a sub-map."""
     return np.asarray(np.abs(positions_m - origin(submap)[:3, 3]).max(axis=1) < SPACING_M / 2, dtype=np.bool_)
 
 

@@ -144,7 +144,7 @@ def _surface(block: Block, cell_m: float, marching_cubes: Any) -> _Part | None:
 
 
 def _is_cut(distance: F32) -> Bool:
-    """Tell which cells (S−1, S−1, S−1) have corners (S, S, S) on both sides."""
+    """Return which cells (S−1, S−1, S−1) have corners (S, S, S) on both sides."""
     front = distance > 0
     some, every = front, front
     for axis in range(3):
@@ -164,7 +164,7 @@ def _interpolated(sums: F32, corners: F32) -> F32:
 
 
 def _agrees(corners: F32, triangles: NDArray[Any], normals: Floats) -> Bool:
-    """Tell which triangles (M,) face the way that the points near them do.
+    """Return which triangles (M,) face the way that the points near them do.
 
     The distance changes its sign at the surface, and also halfway between two surfaces that lie behind each other.
     Slivers, which face nowhere in particular, agree: without them the mesh would have slits.

@@ -76,7 +76,7 @@ def _every_third_bit(numbers: U64) -> U64:
 
 
 def _is_new(ascending: U64) -> Bool:
-    """Tell which numbers (N,) differ from the one before."""
+    """Return which numbers (N,) differ from the one before."""
     return np.concatenate((np.ones(1, dtype=bool), ascending[1:] != ascending[:-1]))
 
 

@@ -108,7 +108,7 @@ def look(X: float, Y: float, Z: float, view: DepthView, seeing: Seeing) -> int:
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def _is_surface(units: int, z: float, unit_m: float, tolerance: float) -> bool:
-    """Tell whether a pixel shows something at a depth that does not move."""
+    """Return whether a pixel shows something at a depth that does not move."""
     return units & 1 == 0 and abs(units * unit_m - z) <= tolerance
 
 

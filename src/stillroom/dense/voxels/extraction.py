@@ -43,7 +43,7 @@ def extract(key: I64, rows: I32, voxel_m: float, reach: int) -> DenseCloud:
 def to_one_layer(
     positions_m: F32, normals: F32, weight: I32, slot_key: I64, slot_row: I32, voxel_m: float, reach: int
 ) -> tuple[F32, Bool]:
-    """Tell which voxels (N,) are the heaviest along their normal, and move them to the mean along it.
+    """Return which voxels (N,) are the heaviest along their normal, and move them to the mean along it.
 
     Args:
         positions_m, normals, weight: The voxels.

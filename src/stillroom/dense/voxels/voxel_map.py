@@ -151,7 +151,7 @@ class VoxelMap:
         self.rows[rows, VOIDED_AT] = now
 
     def blocks_near(self, T_cam_world: F64, lens: Lens, size_px: tuple[int, int], far_m: float) -> Bool:
-        """Tell of each block (B,) whether a camera may see into it, nearer than `far_m`."""
+        """Return for each block (B,) whether a camera may see into it, nearer than `far_m`."""
         return in_frustum(self._block_centres_m, self.block_radius_m, T_cam_world, lens, size_px, far_m)
 
     @property
@@ -236,7 +236,7 @@ def block_centres_m(block_keys: I64, voxel_m: float) -> F64:
 def in_frustum(
     centres_m: F64, radius_m: float, T_cam_world: F64, lens: Lens, size_px: tuple[int, int], far_m: float
 ) -> Bool:
-    """Tell of spheres (B,) whether a camera may see into them.
+    """Return for spheres (B,) whether a camera may see into them.
 
     Args:
         centres_m: Their centres (B, 3) [world].

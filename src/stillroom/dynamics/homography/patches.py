@@ -18,7 +18,7 @@ _ENOUGH_PX = 0.02
 
 @numba.njit(nogil=True, cache=True)
 def in_view(image: U8, x: float, y: float) -> bool:
-    """Tell whether a patch around (x, y) lies in an image (h, w)."""
+    """Return whether a patch around (x, y) lies in an image (h, w)."""
     height, width = image.shape
     inside: bool = MARGIN_PX <= x < width - MARGIN_PX - 1 and MARGIN_PX <= y < height - MARGIN_PX - 1
     return inside

@@ -146,7 +146,7 @@ class PointTest:
         return residual_px
 
     def is_dynamic(self, which: I64) -> Bool:
-        """Tell which of the points `which` (K,) move."""
+        """Return which of the points `which` (K,) move."""
         moves: Bool = self(which) == DYNAMIC
         return moves
 
@@ -177,7 +177,7 @@ class PointTest:
 
 @numba.njit(nogil=True, cache=True)
 def ask_depth(depth_m: F32, px: F64, z: float, tolerance_m: float) -> int:
-    """Tell what a depth image (H, W) shows at a pixel, for a surface that should be z away.
+    """Return what a depth image (H, W) shows at a pixel, for a surface that should be z away.
 
     Returns:
         STATIC when one of nine pixels agrees, DYNAMIC when all that know lie behind: the place was empty; UNKNOWN else:

@@ -192,7 +192,7 @@ def judge_points(
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def _is_steep(points: Points, i: int, there: There, min_cosine: float) -> bool:
-    """Tell whether the angle at a point between its keyframe's camera and the present one is too large."""
+    """Return whether the angle at a point between its keyframe's camera and the present one is too large."""
     X, Y, Z, c, k = points.cam_m[i, 0], points.cam_m[i, 1], points.cam_m[i, 2], there.centres_m, points.seen_in[i]
     ax, ay, az = c[k, 0, 0] - X, c[k, 0, 1] - Y, c[k, 0, 2] - Z
     bx, by, bz = c[k, 1, 0] - X, c[k, 1, 1] - Y, c[k, 1, 2] - Z

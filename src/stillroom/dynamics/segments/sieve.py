@@ -164,7 +164,7 @@ class MovedSegments:
         return np.where(judged >= config.min_points, vote, 0.0)
 
     def _was_there(self, points: "_Points", frame: Frame, earlier: EarlierImage, T_cam_world: F64) -> Bool:
-        """Tell of points (P,) whether the earlier image has a surface where they are now."""
+        """Return for points (P,) whether the earlier image has a surface where they are now."""
         camera, config = frame.camera, self.config
         agrees, empty = np.zeros((2, len(points.segment)), dtype=np.int64)
         points_world_m = se3.transform(se3.inverse(T_cam_world), camera.back_project(points.px, points.depth_m))

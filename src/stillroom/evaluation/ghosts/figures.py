@@ -3,7 +3,7 @@
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from stillroom.evaluation.ate import Statistics
+from stillroom.evaluation.trajectory_errors import Statistics
 from stillroom.geometry.arrays import Bool
 
 

@@ -4,10 +4,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from stillroom.evaluation.ate import Statistics
 from stillroom.evaluation.ghosts.completeness import distances_m
 from stillroom.evaluation.ghosts.figures import GhostFigure, SurfaceFigure
 from stillroom.evaluation.ghosts.patches import distances_to_patches_m
+from stillroom.evaluation.trajectory_errors import Statistics
 from stillroom.geometry.arrays import F64, Bool, Floats
 
 

@@ -82,7 +82,7 @@ def grow(vocabulary: Vocabulary, images: Sequence[U8], config: GrowthConfig | No
     """Split leaves that many descriptors of one's own images fall on; weigh all words by these images.
 
     Words keep their ids; a word that is split goes on as the first of its parts. What was indexed by the old
-    vocabulary must be indexed anew.
+    vocabulary must be indexed again.
 
     Args:
         vocabulary: What to start from.

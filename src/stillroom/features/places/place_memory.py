@@ -60,7 +60,7 @@ class PlaceMemory:
             self.grow()
 
     def grow(self) -> None:
-        """Split words that say too much in this map, by its own keyframes, and index these anew."""
+        """Split words that say too much in this map, by its own keyframes, and index these again."""
         self._since_grown = 0
         table = self.world.keypoints
         rows = [self.world.rows(int(keyframe)) for keyframe in self.world.alive_keyframes()]

@@ -158,7 +158,7 @@ def _check(found: Vocabulary, place: Path) -> None:
     fits = fits and bool(np.all(last <= n_nodes) and np.all(found.first_child[inner] > np.flatnonzero(inner)))
     leaf = found.word[~inner]
     if not (fits and bool(np.all((leaf >= 0) & (leaf < found.n_words)))):
-        raise VocabularyError(f"{place}: damaged; its tree does not hold together; fetch or train it anew")
+        raise VocabularyError(f"{place}: damaged; its tree does not hold together; fetch or train it again")
 
 
 @njit(nogil=True, cache=True)

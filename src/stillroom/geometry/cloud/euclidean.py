@@ -156,7 +156,7 @@ def join_cells(
 
 @njit(nogil=True, cache=True)
 def is_whole(order: I64, start: I64, c: int, parent: I32) -> bool:
-    """Tell whether all points of a cell are in one cluster."""
+    """Return whether all points of a cell are in one cluster."""
     root = root_of(parent, order[start[c]])
     a = start[c] + 1
     while a < start[c + 1] and root_of(parent, order[a]) == root:

@@ -182,7 +182,7 @@ def _count(mask: Bool, size: tuple[int, int]) -> U16:
 
 
 def _is_large(points_m: F32, off: F32, on_plane: Bool, slope: F64, ray_area: float, limits: PlaneLimits) -> bool:
-    """Tell whether a plane's samples (h, w) are large enough, in one piece or, of floor and walls, in several.
+    """Return whether a plane's samples (h, w) are large enough, in one piece or, of floor and walls, in several.
 
     The backs of two people who walk abreast lie on one plane, but not in one piece, and the room is seen behind them.
     Behind floor and walls nothing is seen, and people may leave but pieces of them to be seen.

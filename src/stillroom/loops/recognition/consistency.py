@@ -31,5 +31,5 @@ class ConsistentGroups:
         return enough
 
     def forget(self) -> None:
-        """Start anew."""
+        """Start again."""
         self._groups = []

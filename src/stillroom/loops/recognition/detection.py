@@ -57,6 +57,6 @@ class LoopDetector:
         return self._groups.confirmed((int(candidate) for candidate in alike), self.world.covisibility)
 
     def pause(self, keyframe: int) -> None:
-        """Start anew a few keyframes after this one."""
+        """Start again a few keyframes after this one."""
         self._groups.forget()
         self._quiet_until = keyframe + self.config.pause_keyframes

@@ -31,7 +31,7 @@ class InpaintingRecorderConfig:
         every: Every how many frames of the sequence one is written as an image, by its number; 0 for none.
         video: Name of the video; "" for none.
         on_sheet: How many frames the contact sheet shows.
-        map_every: Every how many frames the dense map is asked anew, to fill what no keyframe saw; 0 for never.
+        map_every: Every how many frames the dense map is asked again, to fill what no keyframe saw; 0 for never.
     """
 
     painting: InpaintingConfig = field(default_factory=InpaintingConfig)

@@ -69,7 +69,7 @@ def shade(splats: Splats, covered: Bool, rays: F32, reach_px: float) -> F32:
 
 
 def creases(depth_m: F32, covered: Bool, reach_px: int) -> F32:
-    """Tell how deep each pixel lies behind its surroundings (H, W), 0 … 1: eye-dome lighting that spares planes.
+    """Return how deep each pixel lies behind its surroundings (H, W), 0 … 1: eye-dome lighting that spares planes.
 
     (Boucheny, 2009, compares depths with each neighbour, which darkens every plane that is seen at a slant. Inverse
     depth of a plane is linear in the image, so the mean of two opposite neighbours is compared here.)

@@ -59,7 +59,7 @@ class View:
         return replace(self, camera=Camera(c.width, c.height + height_px, c.fx, c.fy, c.cx, c.cy))
 
     def shows(self, positions_m: Floats) -> Bool:
-        """Tell which points (N, 3) [m, world] lie on the near side of the plane, (N,)."""
+        """Return which points (N, 3) [m, world] lie on the near side of the plane, (N,)."""
         if self.hidden is None:
             return np.ones(len(positions_m), dtype=np.bool_)
         return np.asarray(positions_m @ self.hidden[:3] + self.hidden[3] <= 0.0, dtype=np.bool_)

@@ -179,7 +179,7 @@ def head(rng: np.random.Generator, skin_colour: Rgb, hair_colour: Rgb, beard: bo
 
 
 def hair_mask(u: Floats, v: Floats) -> Bool:
-    """Tell where on the unrolled head hair grows: above a line that is high over the face and low at the nape."""
+    """Return where on the unrolled head hair grows: above a line that is high over the face and low at the nape."""
     from_front = np.abs(np.asarray(u) - 0.5) * 2.0
     line = (
         0.27 + 0.05 * np.cos(7.0 * from_front) * (from_front < 0.45) + 0.42 * np.clip((from_front - 0.36) / 0.3, 0, 1)

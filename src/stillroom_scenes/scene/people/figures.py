@@ -116,7 +116,7 @@ class HandledObject:
         return self.handling.label
 
     def is_moving(self, time_s: float) -> bool:
-        """Tell whether it is being handled."""
+        """Return whether it is being handled."""
         return self.handling.taken_s < time_s < self.handling.left_s
 
     def place(self, time_s: float) -> F64:

@@ -63,7 +63,7 @@ def _projection_before_the_pyramid(network: Architecture) -> Conv | None:
 
 
 def _reads(step: Step, value: str) -> bool:
-    """Tell whether a step reads a value, other than for its size."""
+    """Return whether a step reads a value, other than for its size."""
     if isinstance(step, Conv) and step.plus == value:
         return True
     return value in (getattr(step, "sources", ()) or (getattr(step, "source", ""),))

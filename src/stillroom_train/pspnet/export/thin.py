@@ -101,7 +101,7 @@ def removals(moments: F64, read: F64, n_removed: int) -> tuple[Ints, F64]:
         channel, lost[number] = left[place], cost[place]
         line, column = inverse[channel] / inverse[channel, channel], read[:, channel].copy()
         weight += line * (line * (column**2).sum() - 2.0 * np.einsum("m,mc->c", column, read))
-        # Into memory that is there already: making it anew takes most of the time otherwise.
+        # Into memory that is there already: making it again takes most of the time otherwise.
         read -= np.multiply.outer(column, line, out=products[1])
         inverse -= np.multiply.outer(inverse[:, channel], line, out=products[0])
         gone[number] = channel

@@ -1,4 +1,4 @@
-"""The absolute trajectory error (Sturm et al., IROS 2012; TUM's evaluate_ate.py)."""
+"""The absolute and the relative errors of a trajectory (Sturm et al., IROS 2012), and statistics of them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field

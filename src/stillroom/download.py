@@ -1,4 +1,4 @@
-"""What `stillroom download` knows by name, and where it comes from."""
+"""Fetching data sets and networks by name from their own addresses, checked by hash where one is known."""
 
 import hashlib
 import http.client
@@ -118,7 +118,7 @@ def _receive(address: str, part: Path, name: str, progress: Progress) -> None:
 
 
 def _after_the_end(address: str, part: Path, name: str, progress: Progress, content_range: str | None) -> None:
-    """Deal with a part that reaches the file's end: it is whole, or it is of another file and starts anew."""
+    """Deal with a part that reaches the file's end: it is whole, or it is of another file and starts again."""
     have = part.stat().st_size
     if content_range == f"bytes */{have}":
         progress(name, have, have)

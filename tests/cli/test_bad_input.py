@@ -150,6 +150,13 @@ def test_a_request_that_cannot_be_is_one_line(case: str, recorded: Path, stillro
         assert word in said.errors[0]
 
 
+def test_an_absent_network_with_a_whole_path_is_named_once(recorded: Path, stillroom: Callable, tmp_path: Path) -> None:
+    path = tmp_path / "detector.onnx"
+    said = stillroom("run", recorded, "--method", "oc-slam", "--set", f"semantics.model={path}")
+    assert said.code == 1
+    assert said.errors == [f"error: no such network: {path}; set semantics.model to an ONNX file"]
+
+
 def test_an_absent_network_is_one_line(
     recorded: Path, stillroom: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -154,7 +154,8 @@ def _sentences(outcome: "RunOutcome") -> list[str]:
     if outcome.interrupted:
         sentences.append(f"stopped after {outcome.n_given} images; the figures are of these")
     if outcome.n_bad:
-        sentences.append(f"{outcome.n_bad} images could not be read and count as not tracked")
+        images = "1 image" if outcome.n_bad == 1 else f"{outcome.n_bad} images"
+        sentences.append(f"not tracked, as they could not be read: {images}")
     world = outcome.slam.map
     n_points = int(world.points.is_alive.sum())
     text = f"map: {len(world.alive_keyframes())} keyframes, {n_points} points"

@@ -9,11 +9,10 @@ from stillroom.errors import ConfigError
 from stillroom.protocols import Parts, Segmenter
 from stillroom.semantics.carried_boxes import CarriedBoxes, CarryConfig
 from stillroom.semantics.detector import EachFrameAlone
-from stillroom.semantics.masks.onnx_masks import find_model
 from stillroom.semantics.onnx.darknet import DarknetFile
 from stillroom.semantics.onnx.detector import DetectionNetwork, OnnxDetector, Reading
 from stillroom.semantics.onnx.layouts import Asked
-from stillroom.semantics.onnx.session import open_content
+from stillroom.semantics.onnx.session import find_model, open_content
 
 SHIPPED = {"1.1": "yolo_fastest_1.1_coco.onnx", "1.1-xl": "yolo_fastest_1.1_xl_coco.onnx"}
 

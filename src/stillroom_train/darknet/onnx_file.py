@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from stillroom.errors import WeightsError
-from stillroom.semantics.onnx.class_names import read_class_names
+from stillroom.semantics.class_names import read_class_names
 from stillroom.semantics.onnx.darknet import Head, Heads
 from stillroom_train.darknet.cfg import read_cfg
 from stillroom_train.darknet.network import (

@@ -11,7 +11,7 @@ from red_network import CLASSES, red_config, save_red_network
 
 from stillroom.data.image import RgbdImage
 from stillroom.errors import ConfigError, StillroomError, WeightsError
-from stillroom.semantics.masks.class_names import VOC_CLASSES
+from stillroom.semantics.class_names import VOC_CLASSES
 from stillroom.semantics.masks.onnx_masks import DEEPLAB, OnnxMasksConfig
 
 
@@ -169,7 +169,7 @@ def test_a_bare_name_is_sought_in_the_models_places(tmp_path: Path, monkeypatch:
     assert red_config(Path("red.onnx")).build()(a_red_square()).boxes
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "empty"))
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(WeightsError, match=DEEPLAB):
+    with pytest.raises(WeightsError, match=DEEPLAB.name):
         OnnxMasksConfig().build()
 
 

@@ -15,7 +15,7 @@ from stillroom.data.image import RgbdImage
 from stillroom.datasets.open import open_dataset
 from stillroom.errors import ConfigError, WeightsError
 from stillroom.semantics.carried_boxes import CarryConfig
-from stillroom.semantics.onnx.class_names import COCO_CLASSES
+from stillroom.semantics.class_names import COCO_CLASSES
 from stillroom.semantics.onnx.onnx_boxes import OnnxBoxesConfig
 from stillroom.semantics.yolo_fastest import SHIPPED, YoloFastestConfig
 

@@ -7,19 +7,18 @@ import numpy as np
 
 from stillroom.bounds import bounded, check
 from stillroom.data.image import RgbdImage
-from stillroom.data.locations import model_folders, model_path
 from stillroom.data.semantics import Semantics
-from stillroom.errors import WeightsError
 from stillroom.protocols import Parts, Segmenter
+from stillroom.semantics.class_names import VOC_CLASSES, channels_of
 from stillroom.semantics.masks.carry import MaskCarryConfig
-from stillroom.semantics.masks.class_names import VOC_CLASSES, channels_of
 from stillroom.semantics.masks.late import LateMasks
 from stillroom.semantics.masks.network import LOGITS, PROBABILITIES, Reading, SegmentationNetwork
 from stillroom.semantics.masks.refine import RefineConfig
 from stillroom.semantics.masks.regions import RegionsConfig, as_semantics, without_specks
 from stillroom.semantics.masks.segments import HalfImage, Segments
+from stillroom.semantics.onnx.session import find_model
 
-DEEPLAB = "deeplabv3_mobilenetv2_voc.onnx"
+DEEPLAB = Path("deeplabv3_mobilenetv2_voc.onnx")
 """The network where none is named: DeepLabv3 on MobileNetV2, VOC classes."""
 
 
@@ -76,30 +75,11 @@ class OnnxMasksConfig:
         """
         check(self)
         channels = channels_of((*self.movable, *self.named), self.classes)
-        network = SegmentationNetwork(find_model(self.model), channels, len(self.classes), self._reading())
+        network = SegmentationNetwork(find_model(self.model or DEEPLAB), channels, len(self.classes), self._reading())
         return OnnxMasks(network, self)
 
     def _reading(self) -> Reading:
         return Reading(self.longer_side_px, self.step_px, self.offset_px, self.mean, self.std, self.bgr, self.scores)
-
-
-def find_model(named: Path | None) -> Path:
-    """Return the network's file.
-
-    Raises:
-        WeightsError: There is none; the message says where it was looked for.
-    """
-    if named is not None and named.is_file():
-        return named
-    name = DEEPLAB if named is None else str(named)
-    found = model_path(name)
-    if found is not None and found.is_file():
-        return found
-    looked = ([] if named is None else [name]) + [str(place / name) for place in model_folders()]
-    raise WeightsError(
-        f"no such network: {', '.join(looked)}; set semantics.model to an ONNX file, "
-        f"or STILLROOM_MODELS to the folder that holds {Path(name).name}"
-    )
 
 
 class OnnxMasks:

@@ -13,12 +13,13 @@ from stillroom.bounds import bounded, check
 from stillroom.errors import WeightsError
 from stillroom.geometry.arrays import F32, U8
 from stillroom.protocols import Parts, Segmenter
+from stillroom.semantics.class_names import VOC_CLASSES, channels_of
 from stillroom.semantics.masks.carry import MaskCarryConfig
-from stillroom.semantics.masks.class_names import VOC_CLASSES, channels_of
 from stillroom.semantics.masks.network import LOGITS, Reading, SegmentationNetwork
-from stillroom.semantics.masks.onnx_masks import OnnxMasks, OnnxMasksConfig, find_model
+from stillroom.semantics.masks.onnx_masks import OnnxMasks, OnnxMasksConfig
 from stillroom.semantics.masks.refine import RefineConfig
 from stillroom.semantics.masks.regions import RegionsConfig
+from stillroom.semantics.onnx.session import find_model
 
 SHIPPED = "pspnet_mobilenetv2_voc.onnx"
 INPUTS_PX = {"320x240": 320, "512x384": 512, "640x480": 640}

@@ -7,15 +7,13 @@ from stillroom.bounds import bounded, check
 from stillroom.errors import ConfigError
 from stillroom.protocols import Parts, Segmenter
 from stillroom.semantics.carried_boxes import CarriedBoxes, CarryConfig
+from stillroom.semantics.class_names import COCO_CLASSES, channels_of, read_class_names
 from stillroom.semantics.detector import EachFrameAlone
-from stillroom.semantics.masks.class_names import channels_of
-from stillroom.semantics.masks.onnx_masks import find_model
-from stillroom.semantics.onnx.class_names import COCO_CLASSES, read_class_names
 from stillroom.semantics.onnx.darknet import DarknetFile
 from stillroom.semantics.onnx.detector import DetectionNetwork, OnnxDetector, Reading
 from stillroom.semantics.onnx.fit import FITS, LETTERBOX, Colors
 from stillroom.semantics.onnx.layouts import DARKNET, LAYOUTS, YOLO_V8, Asked, Layout, layout_of
-from stillroom.semantics.onnx.session import open_content, open_file
+from stillroom.semantics.onnx.session import find_model, open_content, open_file
 
 PIXELS, SHARES = "pixels", "shares"
 

@@ -7,11 +7,30 @@ from typing import Any
 
 import numpy as np
 
+from stillroom.data.locations import model_folders, model_path
 from stillroom.errors import WeightsError
 from stillroom.geometry.arrays import F32
 
 COLORS = 3
 INPUT_TYPES = {"tensor(float)": np.float32, "tensor(float16)": np.float16, "tensor(uint8)": np.uint8}
+
+
+def find_model(named: Path) -> Path:
+    """Return a network's file; a bare name is sought in the models' usual places.
+
+    Raises:
+        WeightsError: There is none; the message says where it was looked for.
+    """
+    found = named if named.is_file() else model_path(str(named))
+    if found is not None and found.is_file():
+        return found
+    if named.is_absolute():
+        raise WeightsError(f"no such network: {named}; set semantics.model to an ONNX file")
+    looked = [str(named), *(str(place / named) for place in model_folders())]
+    raise WeightsError(
+        f"no such network: {', '.join(looked)}; set semantics.model to an ONNX file, "
+        f"or STILLROOM_MODELS to the folder that holds {named.name}"
+    )
 
 
 @dataclass(frozen=True)

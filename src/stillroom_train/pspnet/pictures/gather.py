@@ -9,7 +9,7 @@ import numpy as np
 
 from stillroom.errors import DatasetError
 from stillroom.geometry.arrays import F32, U8
-from stillroom.semantics.masks.class_names import VOC_CLASSES
+from stillroom.semantics.class_names import VOC_CLASSES
 from stillroom.semantics.masks.refine import RefineConfig, refined
 from stillroom.semantics.masks.segments import Segments
 from stillroom_train.pspnet.pictures.example import DOMAIN, PEOPLE, ROOM, Example, images_in, read_mask, read_rgb, split

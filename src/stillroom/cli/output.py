@@ -165,7 +165,7 @@ class RunBar:
 
 
 class FrameBar:
-    """Starts again for each run and leaves nothing behind; without a terminal it is silent.
+    """A bar that is drawn for each run and leaves nothing behind; without a terminal it is silent.
 
     Attributes:
         label: What stands before the bar of the next run.

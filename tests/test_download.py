@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from stillroom.datasets.open import open_dataset
-from stillroom.download import OFFICIAL, Addresses, download, fetch, targets
+from stillroom.download import OFFICIAL, PSPNET_R50_FILE, Addresses, download, fetch
 from stillroom.errors import DownloadError
 from stillroom.testing.tiny_sequence import write_tiny_sequence
 
@@ -336,12 +336,12 @@ def test_the_checkpoint_of_pspnet_must_be_the_one_that_is_meant(server: Server, 
 def test_the_right_checkpoint_of_pspnet_is_kept(
     server: Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    server.files[f"/mm/{targets.PSPNET_R50_FILE}"] = CONTENT
-    monkeypatch.setattr(targets, "PSPNET_R50_MD5", hashlib.md5(CONTENT).hexdigest())
-    monkeypatch.setattr(targets, "PSPNET_R50_SHA256_BEGINS", SHA256[:8])
+    server.files[f"/mm/{PSPNET_R50_FILE}"] = CONTENT
+    monkeypatch.setattr("stillroom.download.PSPNET_R50_MD5", hashlib.md5(CONTENT).hexdigest())
+    monkeypatch.setattr("stillroom.download.PSPNET_R50_SHA256_BEGINS", SHA256[:8])
     place = download("pspnet-r50", tmp_path, addresses=Addresses(pspnet_r50=f"{server.address}/mm"))
     assert place.read_bytes() == CONTENT
-    monkeypatch.setattr(targets, "PSPNET_R50_SHA256_BEGINS", "00000000")
+    monkeypatch.setattr("stillroom.download.PSPNET_R50_SHA256_BEGINS", "00000000")
     place.unlink()
     with pytest.raises(DownloadError, match="is not the file that was meant"):
         download("pspnet-r50", tmp_path, addresses=Addresses(pspnet_r50=f"{server.address}/mm"))

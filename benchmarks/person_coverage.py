@@ -18,7 +18,7 @@ from stillroom.data.image import RgbdImage
 from stillroom.datasets.open import open_dataset
 from stillroom.protocols import Segmenter
 from stillroom.semantics.carried_boxes import CarryConfig
-from stillroom.semantics.detector_off import withhold
+from stillroom.semantics.detector import withhold
 from stillroom.semantics.yolo_fastest import YoloFastestConfig
 
 PERSON = 15

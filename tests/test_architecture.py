@@ -39,7 +39,7 @@ LEVELS = {
     "pipeline": 8,
     "warmup": 8,
     "testing": 8,
-    "benchmark": 9,
+    "bench": 9,
     "cli": 10,
 }
 FREE_TO_ALL = {"bounds", "errors", "__init__"}

@@ -13,7 +13,7 @@ from stillroom.data.semantics import Semantics
 from stillroom.data.trajectory import Trajectory
 from stillroom.dynamics.asking import Asking
 from stillroom.evaluation.timing import StageClock, timed_part
-from stillroom.features.places.place_memory import PlaceMemory
+from stillroom.features.places.place_index import PlaceMemory
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64
 from stillroom.geometry.camera import Camera

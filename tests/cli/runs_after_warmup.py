@@ -18,9 +18,9 @@ from stillroom.config import SlamConfig
 from stillroom.datasets.open import open_dataset
 from stillroom.datasets.selection import select
 from stillroom.dense.export.formats import FORMATS, ExportConfig, chosen_formats
-from stillroom.dense.inpainting.painter import InpaintingConfig
-from stillroom.dynamics.homography.sieve import CompensatedHomographyConfig
-from stillroom.dynamics.multiview.sieve import MultiViewConfig
+from stillroom.dense.inpainting import InpaintingConfig
+from stillroom.dynamics.homography.homography_sieve import CompensatedHomographyConfig
+from stillroom.dynamics.multiview.multiview_sieve import MultiViewConfig
 from stillroom.methods.registry import OWN, method
 from stillroom.pipeline.plots import draw_maps
 from stillroom.semantics.truth import TruthConfig

@@ -12,11 +12,11 @@ import pytest
 from building import parts
 from typer.testing import CliRunner, Result
 
-from stillroom.benchmark import trial as trials
-from stillroom.benchmark.accuracy import Accuracy
-from stillroom.benchmark.rejection import WHOLE_BOXES, Way, sentences, ways
-from stillroom.benchmark.speed import UnitMeter
-from stillroom.benchmark.trial import FrameAverages, Trial, attempt
+from stillroom.bench import trial as trials
+from stillroom.bench.accuracy import Accuracy
+from stillroom.bench.rejection import WHOLE_BOXES, Way, sentences, ways
+from stillroom.bench.speed import UnitMeter
+from stillroom.bench.trial import FrameAverages, Trial, attempt
 from stillroom.cli.bench import app
 from stillroom.config import SlamConfig
 from stillroom.datasets.open import open_dataset

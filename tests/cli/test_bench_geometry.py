@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
-from stillroom.benchmark.geometry.ablation import ablation
-from stillroom.benchmark.geometry.truth_onlooker import MovingThings
+from stillroom.bench.ablation import ablation
+from stillroom.bench.onlookers import MovingThings
 from stillroom.cli.bench import app
 from stillroom.datasets.open import open_dataset
 from stillroom.methods.registry import configure

@@ -9,11 +9,17 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
-from stillroom.benchmark import dense_maps as making
-from stillroom.benchmark.dense_maps import WITH_REMOVAL, WITHOUT_REMOVAL, dense_maps
-from stillroom.benchmark.ghosts import Stretches, stretches
-from stillroom.benchmark.map_figures import HEADER, MapFigures
-from stillroom.benchmark.map_judges import RealJudge, TruthJudge
+from stillroom.bench import dense_maps as making
+from stillroom.bench.dense_maps import (
+    HEADER,
+    WITH_REMOVAL,
+    WITHOUT_REMOVAL,
+    MapFigures,
+    RealJudge,
+    TruthJudge,
+    dense_maps,
+)
+from stillroom.bench.ghosts import Stretches, stretches
 from stillroom.cli.bench import app
 from stillroom.datasets.open import open_dataset
 from stillroom.datasets.recording import Recording

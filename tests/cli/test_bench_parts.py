@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
-from stillroom.benchmark.parts import BOTH, HALF, Part, every_second_second, parts
-from stillroom.benchmark.trial import FrameAverages, attempt
+from stillroom.bench.parts import BOTH, HALF, Part, every_second_second, parts
+from stillroom.bench.trial import FrameAverages, attempt
 from stillroom.cli.bench import app
 from stillroom.config import SlamConfig
 from stillroom.datasets.open import open_dataset
 from stillroom.datasets.recording import Recording
 from stillroom.datasets.selection import select
+from stillroom.dynamics.chain import KeepAllConfig
 from stillroom.dynamics.epipolar import EpipolarConfig
-from stillroom.dynamics.keep_all import KeepAllConfig
 from stillroom.errors import ConfigError
 from stillroom.methods.registry import configure
 from stillroom.semantics.depth_clusters import DepthClustersConfig, NoClustersConfig

@@ -9,7 +9,7 @@ import typer
 from typer.testing import CliRunner, Result
 
 from stillroom.cli.demo import demo
-from stillroom.pipeline.stop_request import StopRequest
+from stillroom.pipeline.run import StopRequest
 
 app = typer.Typer()
 app.command()(demo)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from oriented_clouds import Surfaces, random_cloud
 
-from stillroom.data.cloud.dense_cloud import DenseCloud
+from stillroom.data.clouds import DenseCloud
 from stillroom.dense.export.cloud_file import NAME, save_cloud
 
 FILES = ["cloud.ply", "cloud.pcd", "mesh.ply", "map.pgm", "map.yaml", "map_frame.json", "map.bt"]

@@ -10,9 +10,9 @@ import pytest
 
 from stillroom.config import SlamConfig, read_toml, to_toml, updated, with_overrides
 from stillroom.config.kinds import DYNAMICS, SEMANTICS
-from stillroom.config.toml_text import as_toml
+from stillroom.config.settings import as_toml
+from stillroom.dynamics.chain import KeepAllConfig
 from stillroom.dynamics.epipolar import EpipolarConfig
-from stillroom.dynamics.keep_all import KeepAllConfig
 from stillroom.errors import ConfigError
 from stillroom.semantics.carried_boxes import CarryConfig
 from stillroom.semantics.mask_files import MaskFilesConfig

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from stillroom.benchmark.speed import UnitMeter
+from stillroom.bench.speed import UnitMeter
 from stillroom.data.image import RgbdImage
 from stillroom.datasets.open import open_dataset
 from stillroom.datasets.selection import select

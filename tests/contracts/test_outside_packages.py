@@ -114,7 +114,7 @@ def test_an_outside_sieve_stands_alone_or_in_a_chain(install: Install) -> None:
     install(
         "stillroom.sieves",
         "mine = mine_of_a_test:MineConfig",
-        "from dataclasses import dataclass\nfrom stillroom.dynamics.keep_all import KeepAllConfig\n"
+        "from dataclasses import dataclass\nfrom stillroom.dynamics.chain import KeepAllConfig\n"
         "@dataclass(frozen=True)\nclass MineConfig(KeepAllConfig):\n    threshold_px: float = 3.0\n",
     )
     alone = with_overrides(SlamConfig(), ["dynamics.kind=mine", "dynamics.threshold_px=2"]).dynamics

@@ -15,7 +15,7 @@ from stillroom.data.semantics import Box, Instance, Semantics
 from stillroom.datasets.open import open_dataset
 from stillroom.protocols import Segmenter
 from stillroom.semantics.carried_boxes import CarriedBoxes, CarryConfig
-from stillroom.semantics.detector_off import withhold
+from stillroom.semantics.detector import withhold
 from stillroom.semantics.mask_files import MaskFilesConfig
 from stillroom.semantics.masks.onnx_masks import OnnxMasksConfig
 from stillroom.semantics.masks.pspnet import PspNetConfig

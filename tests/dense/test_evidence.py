@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from plain_room import CAMERA, DISTORTED, flat, image, pose
 
+from stillroom.dense.carving import MovingPoints, small_depth, views_of
 from stillroom.dense.keyframe_cloud import UNIT_M, CloudMaker, SurfaceConfig
-from stillroom.dense.moving_removal import MovingPoints
 from stillroom.dense.voxels.evidence_kernels import (
     HIT,
     NOTHING,
@@ -20,7 +20,6 @@ from stillroom.dense.voxels.evidence_kernels import (
 )
 from stillroom.dense.voxels.fusing_kernels import SCORE, VOIDED_AT
 from stillroom.dense.voxels.voxel_map import VoxelMap
-from stillroom.dense.witnesses import small_depth, views_of
 from stillroom.geometry import se3
 
 STRIDE = 4

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from oriented_clouds import random_cloud
 
-from stillroom.data.cloud.dense_cloud import DenseCloud
+from stillroom.data.clouds import DenseCloud
 from stillroom.dense.export.cloud_file import load_cloud, save_cloud
 from stillroom.errors import MapError, StillroomError
 

@@ -11,7 +11,7 @@ from true_surfaces import STILL, share_in, surface
 
 from stillroom.dense.dense_mapper import MB, DenseMapper, DenseMapperConfig
 from stillroom.dense.keyframe_cloud import SurfaceConfig
-from stillroom.evaluation.ghosts.patches import distances_to_patches_m
+from stillroom.evaluation.ghost_truth import distances_to_patches_m
 from stillroom.evaluation.timing import peak_memory_mb
 from stillroom_scenes.config import open_synthetic
 from stillroom_scenes.room import SyntheticRoom

@@ -9,7 +9,7 @@ from stillroom.data.map import Map
 from stillroom.data.matches import Matches
 from stillroom.data.motion import Stage
 from stillroom.data.semantics import Box, Semantics
-from stillroom.dynamics.keep_all import KeepAllConfig, KeepAllKeypoints
+from stillroom.dynamics.chain import KeepAllConfig, KeepAllKeypoints
 from stillroom.schedule import Done
 
 FRAME, _ = SmallWorld.of(0, 60).look(pose())

@@ -6,20 +6,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from stillroom.evaluation.ghost_truth import TrueScene, distances_to_patches_m, ghosts_by_truth
+from stillroom.evaluation.ghost_views import DepthView, settled, sightings
 from stillroom.evaluation.ghosts import (
-    DepthView,
     FreeSpaceConfig,
     Gatherer,
-    TrueScene,
     completeness,
     empty_room,
-    ghosts_by_truth,
     ghosts_in_free_space,
     seen_again,
-    settled,
-    sightings,
 )
-from stillroom.evaluation.ghosts.patches import distances_to_patches_m
 from stillroom.geometry import se3
 from stillroom.geometry.camera import Camera
 
@@ -181,7 +177,7 @@ def test_half_a_wall_is_half_complete() -> None:
 
 
 def test_gathered_cells_are_those_of_a_dictionary(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("stillroom.evaluation.ghosts.gathering.MERGE_ABOVE", 2000)
+    monkeypatch.setattr("stillroom.evaluation.ghosts.MERGE_ABOVE", 2000)
     rng = np.random.default_rng(2)
     gatherer, naive = Gatherer(BENT, 0.1, stride=2), {}
     for image in range(7):

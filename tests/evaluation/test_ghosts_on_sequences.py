@@ -8,16 +8,9 @@ import numpy as np
 import pytest
 
 from stillroom.datasets.bonn import open_bonn
-from stillroom.evaluation.ghosts import (
-    DepthView,
-    Gatherer,
-    TrueScene,
-    completeness,
-    empty_room,
-    ghosts_by_truth,
-    ghosts_in_free_space,
-    seen_again,
-)
+from stillroom.evaluation.ghost_truth import TrueScene, ghosts_by_truth
+from stillroom.evaluation.ghost_views import DepthView
+from stillroom.evaluation.ghosts import Gatherer, completeness, empty_room, ghosts_in_free_space, seen_again
 from stillroom.geometry.arrays import F64, Bool
 from stillroom.semantics.yolo_fastest import YoloFastestConfig
 from stillroom_scenes.config import open_synthetic

@@ -7,7 +7,7 @@ from small_world import SmallMap, SmallWorld
 
 from stillroom.data.map import Map
 from stillroom.features.places.growth import GrowthConfig
-from stillroom.features.places.place_memory import PlaceMemory
+from stillroom.features.places.place_index import PlaceMemory
 from stillroom.features.places.vocabulary import Vocabulary
 from stillroom.geometry import se3
 from stillroom_train.vocabulary import train

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stillroom.geometry.growing import Shape, element, grown
+from stillroom.geometry.pixels import Shape, element, grown
 
 MASK = np.zeros((40, 50), dtype=np.bool_)
 MASK[10:13, 20] = MASK[30, 48] = True

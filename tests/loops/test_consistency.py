@@ -3,7 +3,7 @@
 import numpy as np
 
 from stillroom.data.map import Covisibility
-from stillroom.loops.recognition.consistency import ConsistentGroups
+from stillroom.loops.detection import ConsistentGroups
 
 
 def neighbourhoods(n: int, reach: int) -> Covisibility:

@@ -7,9 +7,9 @@ from ring_map import Ring, ring
 from small_world import CAMERA
 
 from stillroom.geometry import se3
+from stillroom.loops.correction import follow_keyframes, move_rigidly
 from stillroom.loops.global_bundle import GlobalBundle
-from stillroom.loops.moving import follow_keyframes, move_rigidly
-from stillroom.loops.snapshot import Snapshot
+from stillroom.loops.verdict import Snapshot
 from stillroom.optimize.bundle import BundleConfig
 
 ADJUST = BundleConfig().build()

@@ -11,10 +11,10 @@ from ring_map import vocabulary_of
 from small_world import CAMERA, SmallMap, SmallWorld, pose
 
 from stillroom.data.map import Map, submaps
-from stillroom.features.places.place_memory import PlaceMemory
+from stillroom.features.places.place_index import PlaceMemory
 from stillroom.geometry import se3
 from stillroom.loops.joining import JoiningConfig, SubmapJoiner
-from stillroom.loops.recognition.verification import Loop, VerificationConfig
+from stillroom.loops.verification import Loop, VerificationConfig
 
 BEFORE = [pose(0.1 * k, turn=(0, 0.03 * k, 0)) for k in range(5)]
 AFTER = [pose(0.1 * k + 0.05, 0.04, turn=(0, 0.03 * k, 0.02)) for k in range(5)]

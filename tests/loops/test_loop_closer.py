@@ -12,9 +12,9 @@ from small_world import CAMERA
 
 from stillroom.errors import ConfigError
 from stillroom.geometry import se3
+from stillroom.loops.detection import DetectionConfig
 from stillroom.loops.loop_closer import LoopCloser, LoopsConfig, NoLoops
-from stillroom.loops.recognition.detection import DetectionConfig
-from stillroom.loops.recognition.verification import Loop, Verifier
+from stillroom.loops.verification import Loop, Verifier
 
 
 def closer_of(made: Ring, **changes: Any) -> LoopCloser:

@@ -10,7 +10,7 @@ from stillroom.datasets.open import open_dataset
 from stillroom.evaluation.trajectory_errors import ate
 from stillroom.geometry import se3
 from stillroom.loops.loop_closer import LoopCloser
-from stillroom.loops.recognition.verification import Loop
+from stillroom.loops.verification import Loop
 from stillroom.methods.registry import configure
 from stillroom.system import Slam, build
 

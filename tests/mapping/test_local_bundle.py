@@ -6,7 +6,7 @@ from small_world import CAMERA, SCALES, SmallMap, SmallWorld, pose
 
 from stillroom.data.map import Covisibility, Map
 from stillroom.geometry import se3
-from stillroom.mapping.local_bundle import adjust_all, adjust_locally
+from stillroom.mapping.local_mapper import adjust_all, adjust_locally
 from stillroom.optimize.bundle import BundleConfig
 
 POSES = [pose(0.12 * k, 0.02 * k, 0.05 * k, (0.01 * k, -0.02 * k, 0.0)) for k in range(6)]

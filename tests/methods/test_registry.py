@@ -12,13 +12,13 @@ from stillroom.config import SlamConfig, to_toml, updated
 from stillroom.config.kinds import DYNAMICS, ChainConfig
 from stillroom.dense.dense_mapper import DenseMapperConfig
 from stillroom.dense.nothing import NoDenseMapConfig
-from stillroom.dynamics.clusters.sieve import ClusterSieveConfig
-from stillroom.dynamics.homography.sieve import CompensatedHomographyConfig
-from stillroom.dynamics.keep_all import KeepAllConfig, KeepAllKeypointsConfig
+from stillroom.dynamics.chain import KeepAllConfig, KeepAllKeypointsConfig
+from stillroom.dynamics.cluster_sieve import ClusterSieveConfig
+from stillroom.dynamics.homography.homography_sieve import CompensatedHomographyConfig
 from stillroom.dynamics.masked_keypoints import MaskedKeypointsConfig
-from stillroom.dynamics.multiview.sieve import MultiViewConfig
+from stillroom.dynamics.multiview.multiview_sieve import MultiViewConfig
 from stillroom.dynamics.paper_epipolar import PaperEpipolarConfig
-from stillroom.dynamics.segments.sieve import MovedSegmentsConfig
+from stillroom.dynamics.segments import MovedSegmentsConfig
 from stillroom.errors import ConfigError
 from stillroom.methods import registry
 from stillroom.methods.method import Method

@@ -6,7 +6,7 @@ from optimize_problems import CAMERA, INTRINSICS, camera_jacobian, point_jacobia
 from stillroom.geometry import se3
 from stillroom.optimize import bundle_kernels
 from stillroom.optimize.bundle import BundleProblem, _Adjustment
-from stillroom.optimize.projection import point_information
+from stillroom.optimize.observations import point_information
 from stillroom.optimize.reduced_system import DenseSystem, SparseSystem
 
 LIMITS = (5.991, 7.815)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stillroom.evaluation.ghosts.patches import distances_to_patches_m
+from stillroom.evaluation.ghost_truth import distances_to_patches_m
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64
 from stillroom_scenes.config import open_synthetic

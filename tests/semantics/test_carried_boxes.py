@@ -10,9 +10,8 @@ import pytest
 from stillroom.data.image import RgbdImage
 from stillroom.data.semantics import Box
 from stillroom.errors import ConfigError
-from stillroom.semantics.box_flow import Follower
-from stillroom.semantics.carried_boxes import CarriedBoxes, CarryConfig
-from stillroom.semantics.detector_off import withhold
+from stillroom.semantics.carried_boxes import CarriedBoxes, CarryConfig, Follower
+from stillroom.semantics.detector import withhold
 from stillroom.semantics.yolo_fastest import YoloFastestConfig
 
 HEIGHT, WIDTH, TALL, BROAD, TOP = 240, 320, 150, 60, 60

@@ -7,7 +7,7 @@ from stillroom.data.image import RgbdImage
 from stillroom.data.semantics import Box, Semantics
 from stillroom.errors import ConfigError
 from stillroom.semantics.carried_boxes import CarryConfig
-from stillroom.semantics.detector_off import withhold
+from stillroom.semantics.detector import withhold
 from stillroom.semantics.nothing import NothingConfig
 from stillroom.semantics.truth import TruthConfig
 

@@ -11,7 +11,7 @@ import pytest
 
 from stillroom.data.image import RgbdImage
 from stillroom.errors import ConfigError, WeightsError
-from stillroom.semantics.boxes import overlap, suppress
+from stillroom.semantics.detector import overlap, suppress
 from stillroom.semantics.onnx.darknet import DarknetFile
 from stillroom.semantics.yolo_fastest import SHIPPED, YoloFastestConfig
 

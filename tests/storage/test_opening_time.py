@@ -7,7 +7,7 @@ import numpy as np
 from building import parts
 from small_world import CAMERA, SmallMap, SmallWorld, pose
 
-from stillroom.features.places.place_memory import PlacesConfig
+from stillroom.features.places.place_index import PlacesConfig
 from stillroom.features.places.vocabulary import load_vocabulary
 from stillroom.storage import StoredMap, load_map, save_map
 

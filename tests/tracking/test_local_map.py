@@ -5,7 +5,7 @@ import pytest
 from small_world import SCALES, SmallMap, SmallWorld, pose
 
 from stillroom.data.map import Map
-from stillroom.tracking.local_map import MAX_KEYFRAMES, LocalMap, select
+from stillroom.tracking.tracker import MAX_KEYFRAMES, LocalMap, local_map_of
 
 
 def along_a_wall(n: int) -> SmallMap:
@@ -47,7 +47,7 @@ def test_the_local_map_is_that_of_the_plain_rule(seen_by: int) -> None:
     point_ids[rng.random(len(point_ids)) < 0.7] = -1
     expected = select_plainly(point_ids, small, MAX_KEYFRAMES)
     assert 1 < len(expected[1]) < 14
-    check(select(point_ids, 0, small.map), expected)
+    check(local_map_of(point_ids, 0, small.map), expected)
 
 
 def test_no_more_than_eighty_keyframes_are_chosen() -> None:
@@ -56,7 +56,7 @@ def test_no_more_than_eighty_keyframes_are_chosen() -> None:
     rows = np.flatnonzero(rng.random(len(small.map.keypoints)) < 0.3)  # so that votes differ
     small.map.remove_observations(rows)
     point_ids = small.map.points_of(3).copy()
-    found = select(point_ids, 0, small.map)
+    found = local_map_of(point_ids, 0, small.map)
     assert len(found.keyframes) == MAX_KEYFRAMES
     check(found, select_plainly(point_ids, small, MAX_KEYFRAMES))
     assert found.keyframes[0] == found.reference
@@ -65,7 +65,7 @@ def test_no_more_than_eighty_keyframes_are_chosen() -> None:
 def test_without_any_vote_the_fallback_is_the_reference() -> None:
     small = along_a_wall(8)
     nothing = np.full(10, -1, np.int32)
-    found = select(nothing, 5, small.map)
+    found = local_map_of(nothing, 5, small.map)
     assert found.reference == 5
     first_neighbour = small.map.covisibility.neighbours(5, 1)
     assert found.keyframes == (5, *first_neighbour)
@@ -76,6 +76,6 @@ def test_a_lone_first_keyframe_is_its_own_local_map() -> None:
     world = Map(SCALES)
     small = SmallMap(SmallWorld.of(0, 80), world)
     small.add(np.eye(4))
-    found = select(world.points_of(0), 0, world)
+    found = local_map_of(world.points_of(0), 0, world)
     assert (found.reference, found.keyframes) == (0, (0,))
     assert len(found.points) == len(world.points)

@@ -13,7 +13,7 @@ from stillroom.data.motion import Motion, Stage
 from stillroom.data.question import Question
 from stillroom.data.result import Tracked, TrackingState
 from stillroom.datasets.open import open_dataset
-from stillroom.dynamics.keep_all import KeepAllMatches
+from stillroom.dynamics.chain import KeepAllMatches
 from stillroom.geometry import se3
 from stillroom.protocols import MatchSieve
 from stillroom.system import build

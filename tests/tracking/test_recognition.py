@@ -12,10 +12,10 @@ from small_world import SmallMap, SmallWorld, pose
 from stillroom.data.frame import Frame
 from stillroom.data.map import submaps
 from stillroom.data.matches import Matches
-from stillroom.features.places.place_memory import PlaceMemory
+from stillroom.features.places.place_index import PlaceMemory
 from stillroom.features.projection import Window
 from stillroom.geometry import se3
-from stillroom.tracking.recognition import (
+from stillroom.tracking.relocalizer import (
     Found,
     RecognitionConfig,
     around_projections,

@@ -5,7 +5,7 @@ import pytest
 
 from stillroom.data.semantics import Box, Semantics
 from stillroom.viz.marks import MOVING, STATIC, TINT
-from stillroom.viz.overlay import draw_verdict
+from stillroom.viz.recorder import draw_verdict
 
 GRAY = np.full((120, 160, 3), 128, dtype=np.uint8)
 NO_POINTS = (np.zeros((0, 2), np.float32), np.zeros(0, bool), np.zeros(0, bool))

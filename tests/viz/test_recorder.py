@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from stillroom.data.cloud.clusters import PLANE, Clusters
+from stillroom.data.clouds import PLANE, Clusters
 from stillroom.data.frame import Frame, Keypoints, ScaleLevels
 from stillroom.data.image import RgbdImage
 from stillroom.data.motion import Motion
@@ -18,8 +18,7 @@ from stillroom.geometry.camera import Camera
 from stillroom.viz.clusters import draw_clusters
 from stillroom.viz.marks import MOVING, STATIC
 from stillroom.viz.nothing import Nothing
-from stillroom.viz.overlay import draw_verdict
-from stillroom.viz.recorder import PictureRecorder, PictureRecorderConfig
+from stillroom.viz.recorder import PictureRecorder, PictureRecorderConfig, draw_verdict
 
 CAMERA = Camera(64, 48, 50.0, 50.0, 32.0, 24.0)
 

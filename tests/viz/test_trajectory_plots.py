@@ -107,7 +107,7 @@ def test_a_place_that_cannot_be_written_is_named(tmp_path: Path) -> None:
 
 def test_matplotlib_is_not_imported_before_a_plot_is_drawn_and_needs_no_display() -> None:
     code = (
-        "import sys, stillroom.viz.trajectory_plots, stillroom.viz.overlay;"
+        "import sys, stillroom.viz.trajectory_plots, stillroom.viz.recorder;"
         "assert 'matplotlib' not in sys.modules; print('clean')"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)

@@ -8,7 +8,7 @@ import typer
 from stillroom.errors import MapError, StillroomError
 
 if TYPE_CHECKING:
-    from stillroom.data.cloud.dense_cloud import DenseCloud
+    from stillroom.data.clouds import DenseCloud
     from stillroom.dense.export.formats import ExportConfig, Written
 
 DEFAULT_FOLDER = Path("results/latest")

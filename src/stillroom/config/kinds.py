@@ -15,16 +15,14 @@ from typing import Any, Protocol
 
 from stillroom.dense.dense_mapper import DenseMapperConfig
 from stillroom.dense.nothing import NoDenseMapConfig
-from stillroom.dynamics.chain import Chain
-from stillroom.dynamics.clusters.sieve import ClusterSieveConfig
+from stillroom.dynamics.chain import Chain, KeepAllConfig, KeepAllKeypointsConfig
+from stillroom.dynamics.cluster_sieve import ClusterSieveConfig
 from stillroom.dynamics.epipolar import EpipolarConfig
-from stillroom.dynamics.homography.sieve import CompensatedHomographyConfig
-from stillroom.dynamics.keep_all import KeepAllConfig, KeepAllKeypointsConfig
+from stillroom.dynamics.homography.homography_sieve import CompensatedHomographyConfig
 from stillroom.dynamics.masked_keypoints import MaskedKeypointsConfig
-from stillroom.dynamics.multiview.presets import CodeMultiViewConfig, PaperMultiViewConfig
-from stillroom.dynamics.multiview.sieve import MultiViewConfig
+from stillroom.dynamics.multiview.multiview_sieve import CodeMultiViewConfig, MultiViewConfig, PaperMultiViewConfig
 from stillroom.dynamics.paper_epipolar import PaperEpipolarConfig
-from stillroom.dynamics.segments.sieve import MovedSegmentsConfig
+from stillroom.dynamics.segments import MovedSegmentsConfig
 from stillroom.dynamics.whole_boxes import WholeBoxesConfig
 from stillroom.errors import ConfigError
 from stillroom.plugins import PluginGroup
@@ -41,6 +39,19 @@ from stillroom.tracking.low_cost import LowCostConfig, NoLowCostConfig
 
 KIND = "kind"
 """The key of a section that chooses the part."""
+MUST_BE = "a dataclass with a build method"
+SINGLE_SIEVES: Mapping[str, type[Any]] = {
+    "keep-all": KeepAllConfig,
+    "whole-boxes": WholeBoxesConfig,
+    "paper-epipolar": PaperEpipolarConfig,
+    "epipolar": EpipolarConfig,
+    "clusters": ClusterSieveConfig,
+    "multiview": MultiViewConfig,
+    "multiview-paper": PaperMultiViewConfig,
+    "multiview-code": CodeMultiViewConfig,
+    "compensated-homography": CompensatedHomographyConfig,
+    "moved-segments": MovedSegmentsConfig,
+}
 
 
 class SegmenterConfig(Protocol):
@@ -83,9 +94,6 @@ class QuickTrackingConfig(Protocol):
 
     def build(self, parts: Parts, sieve: MatchSieve) -> QuickTracking:
         """Return the part; it asks the sieve under the pose that it finds."""
-
-
-MUST_BE = "a dataclass with a build method"
 
 
 def _is_part(found: object) -> bool:
@@ -189,19 +197,6 @@ KEYPOINTS = Kinds("keypoints", {"keep-all": KeepAllKeypointsConfig, "masked": Ma
 LOW_COST = Kinds("low_cost", {"nothing": NoLowCostConfig, "projection": LowCostConfig})
 
 DENSE = Kinds("dense", {"nothing": NoDenseMapConfig, "voxels": DenseMapperConfig})
-
-SINGLE_SIEVES: Mapping[str, type[Any]] = {
-    "keep-all": KeepAllConfig,
-    "whole-boxes": WholeBoxesConfig,
-    "paper-epipolar": PaperEpipolarConfig,
-    "epipolar": EpipolarConfig,
-    "clusters": ClusterSieveConfig,
-    "multiview": MultiViewConfig,
-    "multiview-paper": PaperMultiViewConfig,
-    "multiview-code": CodeMultiViewConfig,
-    "compensated-homography": CompensatedHomographyConfig,
-    "moved-segments": MovedSegmentsConfig,
-}
 
 
 @dataclass(frozen=True)

@@ -5,25 +5,31 @@ chooses the class, and with it the other keys. Values are bool, int, float, str,
 """
 
 import dataclasses
+import json
 import logging
 import re
 import tomllib
+import types
 import typing
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from difflib import SequenceMatcher
 from pathlib import Path
 from typing import Any, TypeVar
 
 from stillroom.bounds import check
 from stillroom.config.kinds import KIND, Kinds
-from stillroom.config.toml_text import as_toml
-from stillroom.config.values import Written, convert
 from stillroom.errors import ConfigError
 
+WORDS: dict[object, str] = {
+    bool: "true or false",
+    int: "a whole number",
+    float: "a number",
+    str: "text",
+    Path: "a path",
+}
 C = TypeVar("C")
-
 log = logging.getLogger(__name__)
-
 RETIRED: Mapping[str, str] = {
     r"dynamics(\.\w+)?\.min_matches": "how many matches a verdict must leave is the same for all sieves now",
     r"semantics=yolo-fastest\.folder": "YOLO-Fastest comes with Stillroom; convert a network of your own with "
@@ -32,9 +38,125 @@ RETIRED: Mapping[str, str] = {
 }
 """Keys of earlier versions that set nothing any more, and why: patterns of their dotted names, with `=kind` after the
 section where one kind alone had the key."""
-
 PROVENANCE = "run"
 """The table of a results folder's config.toml that says how it came about; it configures nothing."""
+
+
+# A nested mapping as TOML; the standard library only reads it.
+
+
+def as_toml(values: Mapping[str, Any], comments: Mapping[str, str] | None = None) -> str:
+    """Return TOML text of scalars, lists of scalars and nested mappings.
+
+    Args:
+        values: What to write; None becomes "", TOML having no word for it.
+        comments: Remarks by dotted key, written behind the value.
+    """
+    return "\n".join(_section(values, "", comments or {})) + "\n"
+
+
+def scalar(value: object) -> str:
+    """Return one value as TOML."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, int | float):
+        return repr(value)
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(scalar(item) for item in value)}]"
+    text = "" if value is None else str(value) if isinstance(value, str | Path) else None
+    if text is None:
+        raise TypeError(f"{type(value).__name__} has no place in a TOML file")
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def _section(values: Mapping[str, Any], path: str, comments: Mapping[str, str]) -> list[str]:
+    lines = []
+    for key, value in values.items():
+        if not isinstance(value, Mapping):
+            remark = comments.get(f"{path}{key}")
+            lines.append(f"{_key(key)} = {scalar(value)}" + (f"  # {remark}" if remark else ""))
+    for key, value in values.items():
+        if isinstance(value, Mapping):
+            header = f"{path}{_key(key)}"
+            lines += ["", f"[{header}]", *_section(value, f"{header}.", comments)]
+    return lines
+
+
+def _key(key: str) -> str:
+    bare = key.isascii() and key.replace("-", "").replace("_", "").isalnum()
+    return key if bare else json.dumps(key, ensure_ascii=False)
+
+
+# One value of a configuration, made to fit the type of its field.
+
+
+@dataclass(frozen=True)
+class Written:
+    """A value as written on the command line, before the type of its field is known."""
+
+    text: str
+
+    def read(self) -> Any:
+        """Return the value as TOML reads it; the bare text where that is no TOML."""
+        try:
+            return tomllib.loads(f"value = {self.text}")["value"]
+        except tomllib.TOMLDecodeError:
+            return self.text
+
+
+def convert(value: Any, kind: Any, name: str) -> Any:
+    """Return a value of a field's type; "" is None where the type allows it.
+
+    Args:
+        value: From TOML, or `Written`.
+        kind: The type of the field.
+        name: Dotted name, for messages.
+
+    Raises:
+        ConfigError: It does not fit.
+    """
+    origin = typing.get_origin(kind)
+    if origin in (types.UnionType, typing.Union):
+        inner = next(choice for choice in typing.get_args(kind) if choice is not types.NoneType)
+        return None if _is_empty(value) else convert(value, inner, name)
+    if origin is tuple:
+        return _tuple(value, typing.get_args(kind), name)
+    plain = value.read() if isinstance(value, Written) else value
+    if kind in (str, Path):
+        # 1.1 and 2024-01-01 are fine names, though TOML reads them as something else.
+        text = value.text if isinstance(value, Written) and not isinstance(plain, str) else plain
+        if not isinstance(text, str):
+            raise _wrong(value, kind, name)
+        return Path(text).expanduser() if kind is Path else text
+    if kind is float and isinstance(plain, int) and not isinstance(plain, bool):
+        return float(plain)
+    if kind not in WORDS:
+        raise TypeError(f"{name}: a config field cannot be of type {kind}")
+    if type(plain) is not kind:
+        raise _wrong(value, kind, name)
+    return plain
+
+
+def _tuple(value: Any, kinds: tuple[Any, ...], name: str) -> tuple[Any, ...]:
+    items = value.read() if isinstance(value, Written) else value
+    if isinstance(value, Written) and not isinstance(items, list):
+        items = [Written(part.strip()) for part in value.text.split(",") if part.strip()]
+    if not isinstance(items, list | tuple):
+        raise ConfigError(f"'{name}' is {items!r}; it must be a list")
+    if len(kinds) == 2 and kinds[1] is Ellipsis:
+        kinds = (kinds[0],) * len(items)
+    if len(items) != len(kinds):
+        raise ConfigError(f"'{name}' has {len(items)} items; it must have {len(kinds)}")
+    return tuple(convert(item, kind, f"{name}[{i}]") for i, (item, kind) in enumerate(zip(items, kinds, strict=True)))
+
+
+def _is_empty(value: Any) -> bool:
+    return value is None or value == "" or (isinstance(value, Written) and value.read() == "")
+
+
+def _wrong(value: Any, kind: Any, name: str) -> ConfigError:
+    shown = f"'{value.text}'" if isinstance(value, Written) else repr(value)
+    return ConfigError(f"'{name}' is {shown}; it must be {WORDS[kind]}")
 
 
 def to_values(config: Any) -> dict[str, Any]:

@@ -20,9 +20,9 @@ from stillroom.config.kinds import (
     SegmenterConfig,
 )
 from stillroom.dense.nothing import NoDenseMapConfig
-from stillroom.dynamics.keep_all import KeepAllConfig, KeepAllKeypointsConfig
+from stillroom.dynamics.chain import KeepAllConfig, KeepAllKeypointsConfig
 from stillroom.features.orb import OrbConfig
-from stillroom.features.places.place_memory import PlacesConfig
+from stillroom.features.places.place_index import PlacesConfig
 from stillroom.loops.joining import JoiningConfig
 from stillroom.loops.loop_closer import LoopsConfig
 from stillroom.mapping.local_mapper import LocalMapperConfig

@@ -17,13 +17,17 @@ from stillroom.errors import CalibrationError, DatasetError, FrameError
 from stillroom.geometry.arrays import F32, F64, I64, U8, U16
 from stillroom.geometry.camera import Camera
 
-# Pixels from disk: the only place that knows OpenCV's blue-green-red order and a depth image's integers.
-
-
 # Cameras that write JPEG put how they were held into EXIF; the calibration is of the sensor as it is.
 COLOUR_FLAGS = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
 PNG_START, PNG_END = b"\x89PNG", b"IEND\xaeB`\x82"
 JPEG_START, JPEG_END = b"\xff\xd8", b"\xff\xd9"
+log = logging.getLogger(__name__)
+GROUNDTRUTH_NAME = "groundtruth.txt"
+PROBED_FRAMES = 5
+LONG_GAP_S = 1.0
+
+
+# Pixels from disk: the only place that knows OpenCV's blue-green-red order and a depth image's integers.
 
 
 def read_rgb(path: Path) -> U8:
@@ -84,13 +88,6 @@ def _is_cut_off(encoded: bytes) -> bool:
     if encoded.startswith(PNG_START):
         return PNG_END not in encoded[-64:]
     return encoded.startswith(JPEG_START) and JPEG_END not in encoded[len(encoded) // 2 :]
-
-
-log = logging.getLogger(__name__)
-
-GROUNDTRUTH_NAME = "groundtruth.txt"
-PROBED_FRAMES = 5
-LONG_GAP_S = 1.0
 
 
 @dataclass(frozen=True)

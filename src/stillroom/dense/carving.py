@@ -1,14 +1,16 @@
 """What is taken out of the map again: what moves, what later rays pass through, and what was never there for long."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
+import cv2
 import numpy as np
+from numba import njit
+from scipy.spatial import cKDTree
 
 from stillroom.bounds import bounded
 from stillroom.data.image import RgbdImage
 from stillroom.data.map import Map
-from stillroom.dense.keyframe_cloud import UNIT_M, SurfaceConfig
-from stillroom.dense.moving_removal import MovingPoints
+from stillroom.dense.keyframe_cloud import UNIT_M, SurfaceConfig, in_units
 from stillroom.dense.voxels.evidence_kernels import (
     NOTHING,
     DepthView,
@@ -16,21 +18,192 @@ from stillroom.dense.voxels.evidence_kernels import (
     Seeing,
     Voxels,
     answers,
+    count_in_view,
     judge_in_view,
     judge_rows,
     mean_positions,
     rows_in,
 )
 from stillroom.dense.voxels.voxel_map import VoxelMap, block_centres_m, in_frustum
-from stillroom.dense.witnesses import Witnesses, small_depth, views_of
 from stillroom.geometry import se3
-from stillroom.geometry.arrays import F64, I32, I64, U16, Bool
+from stillroom.geometry.arrays import F32, F64, I32, I64, U8, U16, Bool, Floats
 from stillroom.geometry.camera import Camera
+from stillroom.geometry.pixels import Shape, element
 
+MOST_CELLS = 1 << 21
+SAMPLES = 64
+LEAST_SHARE = 0.1
+"""A witness is asked when it has at least this share of the points in view."""
 COARSER = 2
 """Rays that carve are taken at the stride of the clouds times this."""
-
 TYPICAL_DEPTH_M = 3.0
+
+
+# Removal of what moves from what was fused before (OC-SLAM 2.6): voxels near moving points, found by Kd-tree.
+
+
+class MovingPoints:
+    """Points of what moves, asked what lies near them."""
+
+    def __init__(self, points_world_m: F64) -> None:
+        """Take the points (M, 3) [m, world]."""
+        self._points_m = points_world_m
+        self._tree = cKDTree(points_world_m, balanced_tree=False, compact_nodes=False) if len(points_world_m) else None
+
+    def near(self, candidates_world_m: Floats, radius_m: float) -> Bool:
+        """Return which candidates (N, 3) lie within a radius of the points, (N,)."""
+        near = np.zeros(len(candidates_world_m), dtype=np.bool_)
+        if self._tree is None or len(candidates_world_m) == 0:
+            return near
+        lower, upper = self._box(radius_m)
+        inside = np.flatnonzero(_inside(candidates_world_m, lower, upper))
+        if len(inside) == 0:
+            return near
+        distance_m, _ = self._tree.query(candidates_world_m[inside], distance_upper_bound=radius_m)
+        near[inside] = np.isfinite(distance_m)
+        return near
+
+    def perhaps_near(self, candidates_world_m: F32, radius_m: float) -> Bool:
+        """Return which candidates (N, 3) may lie within a radius, (N,): all that do, and some a little farther off.
+
+        A look at a grid of cells is a tenth of a question to the tree.
+        """
+        if self._tree is None:
+            return np.zeros(len(candidates_world_m), dtype=np.bool_)
+        lower, upper = self._box(radius_m)
+        edge_m = max(radius_m, float(np.prod(upper - lower) / MOST_CELLS) ** (1 / 3))
+        marked = np.zeros(tuple(((upper - lower) / edge_m).astype(np.int64) + 1), dtype=np.uint8)
+        mark_cells(self._points_m, lower, edge_m, marked)
+        near: Bool = in_marked_cells(candidates_world_m, lower, edge_m, marked)
+        return near
+
+    def _box(self, margin_m: float) -> tuple[F64, F64]:
+        return self._points_m.min(axis=0) - margin_m, self._points_m.max(axis=0) + margin_m
+
+
+def _inside(points_m: Floats, lower_m: F64, upper_m: F64) -> Bool:
+    """Return which points (N, 3) lie in a box, axis by axis: numpy is slow along short ones."""
+    inside = np.ones(len(points_m), dtype=np.bool_)
+    for axis in range(3):
+        inside &= (points_m[:, axis] >= lower_m[axis]) & (points_m[:, axis] <= upper_m[axis])
+    return inside
+
+
+@njit(nogil=True, cache=True)
+def mark_cells(points_m: F64, lower_m: F64, edge_m: float, marked: U8) -> None:
+    """Set the cells (A, B, C) that points (M, 3) lie in, and those around them; all points lie in the grid."""
+    for n in range(len(points_m)):
+        i = int((points_m[n, 0] - lower_m[0]) / edge_m)
+        j = int((points_m[n, 1] - lower_m[1]) / edge_m)
+        k = int((points_m[n, 2] - lower_m[2]) / edge_m)
+        for a in range(max(0, i - 1), min(marked.shape[0], i + 2)):
+            for b in range(max(0, j - 1), min(marked.shape[1], j + 2)):
+                for c in range(max(0, k - 1), min(marked.shape[2], k + 2)):
+                    marked[a, b, c] = 1
+
+
+@njit(nogil=True, cache=True)
+def in_marked_cells(points_m: F32, lower_m: F64, edge_m: float, marked: U8) -> Bool:
+    """Return which points (N, 3) lie in marked cells (A, B, C), (N,); outside the grid nothing is marked."""
+    found = np.zeros(len(points_m), dtype=np.bool_)
+    for n in range(len(points_m)):
+        x = (points_m[n, 0] - lower_m[0]) / edge_m
+        y = (points_m[n, 1] - lower_m[1]) / edge_m
+        z = (points_m[n, 2] - lower_m[2]) / edge_m
+        if 0.0 <= x < marked.shape[0] and 0.0 <= y < marked.shape[1] and 0.0 <= z < marked.shape[2]:
+            found[n] = marked[int(x), int(y), int(z)] == 1
+    return found
+
+
+# What earlier images saw, kept small: asked whether a place was free before anything appeared there.
+
+
+@dataclass(frozen=True)
+class Witness:
+    """A small depth image (h, w), hung on a keyframe.
+
+    Attributes:
+        keyframe: The keyframe.
+        T_keyframe_cam: Pose in it (4, 4).
+        depth: Depths in units, the lowest bit set where a pixel shows what moves.
+    """
+
+    keyframe: int
+    T_keyframe_cam: F64
+    depth: U16 = field(repr=False)
+
+
+def small_depth(depth_m: F32, is_moving: Bool | None, stride: int) -> U16:
+    """Return every so many-th depth (H, W) [m] in units; the lowest bit stands for whether it moves (H, W)."""
+    depth: U16 = in_units(depth_m, stride) & np.uint16(0xFFFE)
+    if is_moving is not None:
+        depth |= is_moving[::stride, ::stride] & (depth > 0)
+    return depth
+
+
+def views_of(depth: U16) -> U16:
+    """Return depth, nearest and farthest of the neighbourhood (h, w, 3); see `evidence_kernels.look`."""
+    square = element(1, Shape.SQUARE)
+    # What is unknown, 0, becomes the farthest: 0 − 1 wraps around.
+    nearest = cv2.erode(depth - np.uint16(1), square) + np.uint16(1)
+    return np.asarray(cv2.merge((depth, nearest, cv2.dilate(depth, square))), dtype=np.uint16)
+
+
+class Witnesses:
+    """The small images in order of time; when there are too many, every second of the older half goes."""
+
+    def __init__(self, camera: Camera, most: int) -> None:
+        """Start without any; keep at most `most`."""
+        self.most = most
+        self._size_px = camera.width, camera.height
+        self._lens = camera.lens
+        self._all: list[Witness] = []
+        self._T_cam_world = np.zeros((most + 1, 4, 4))
+
+    def __len__(self) -> int:
+        """How many there are."""
+        return len(self._all)
+
+    @property
+    def n_bytes(self) -> int:
+        """Memory that is held."""
+        return len(self._all) * self._all[0].depth.nbytes if self._all else 0
+
+    def remember(self, keyframe: int, T_keyframe_cam: F64, T_world_cam: F64, depth: U16) -> None:
+        """Keep a small depth image (h, w) as `small_depth` gives it."""
+        self._T_cam_world[len(self._all)] = se3.inverse(T_world_cam)
+        self._all.append(Witness(keyframe, T_keyframe_cam, depth))
+        if len(self._all) > self.most:
+            half = len(self._all) // 2
+            kept = [*range(0, half, 2), *range(half, len(self._all))]
+            self._all = [self._all[i] for i in kept]
+            self._T_cam_world[: len(kept)] = self._T_cam_world[kept]
+
+    def refresh(self, world: Map) -> None:
+        """Bring all to where their keyframes are now; `choose` does so only for those that it returns."""
+        for i, witness in enumerate(self._all):
+            self._T_cam_world[i] = se3.inverse(world.keyframe_pose(witness.keyframe) @ witness.T_keyframe_cam)
+
+    def choose(self, points_m: F32, far_m: float, n: int, world: Map) -> list[tuple[F64, U16]]:
+        """Return pose and depth of at most `n` that have points in view, spread over time, placed by the map.
+
+        Args:
+            points_m: The points (M, 3) [m, world].
+            far_m: How far witnesses see.
+            n: How many.
+            world: The map that holds their keyframes.
+        """
+        if not self._all or len(points_m) == 0:
+            return []
+        sample = np.ascontiguousarray(points_m[:: max(1, len(points_m) // SAMPLES)])
+        counts = count_in_view(sample, self._T_cam_world[: len(self._all)], self._lens, *self._size_px, far_m)
+        able = np.flatnonzero(counts >= max(1.0, LEAST_SHARE * len(sample)))
+        if len(able) > n:
+            able = able[np.rint(np.linspace(0, len(able) - 1, n)).astype(np.int64)]
+        for i in able:
+            pose = world.keyframe_pose(self._all[i].keyframe) @ self._all[i].T_keyframe_cam
+            self._T_cam_world[i] = se3.inverse(pose)
+        return [(self._T_cam_world[i].copy(), self._all[i].depth) for i in able]
 
 
 @dataclass(frozen=True)

@@ -7,29 +7,94 @@ from pathlib import Path
 import numpy as np
 
 from stillroom.bounds import bounded, check
-from stillroom.data.cloud.dense_cloud import DenseCloud
+from stillroom.data.clouds import DenseCloud
 from stillroom.data.image import RgbdImage
-from stillroom.data.map import submaps
+from stillroom.data.map import Map, submaps
 from stillroom.dense.carving import Carver, CarvingConfig
 from stillroom.dense.cloud_store import CloudStore
-from stillroom.dense.fused_views import FusedViews
-from stillroom.dense.keyframe_cloud import CloudMaker, KeyframeCloud, SurfaceConfig
-from stillroom.dense.surface_kernels import I8
+from stillroom.dense.keyframe_cloud import I8, CloudMaker, KeyframeCloud, SurfaceConfig
 from stillroom.dense.voxels.extraction import extract
 from stillroom.dense.voxels.fusing_kernels import FULL_WEIGHT, SCORE, WEIGHT
 from stillroom.dense.voxels.hash_kernels import unpack
 from stillroom.dense.voxels.swapped_blocks import SwappedBlocks
 from stillroom.dense.voxels.voxel_map import VoxelMap
 from stillroom.geometry import se3
-from stillroom.geometry.arrays import F64, I32, Bool
+from stillroom.geometry.arrays import F64, I32, I64, Bool
 from stillroom.protocols import P, Parts, T
 
+TYPICAL_DEPTH_M = 2.5
+NOT_FUSED = -1
+FIRST_CAPACITY = 64
 MB = float(1 << 20)
+PATIENCE = 2.0
+"""Poses of new keyframes go to and fro: while frames come, only what has moved this much more is fused again."""
 CLOUD_SHARE, VOXEL_SHARE, WITNESS_SHARE = 0.45, 0.45, 0.1
 """What keyframe clouds, voxels and earlier depth images may take of the memory."""
 
-PATIENCE = 2.0
-"""Poses of new keyframes go to and fro: while frames come, only what has moved this much more is fused again."""
+
+# Under which poses images were fused, and which of them the map has moved since.
+
+
+class FusedViews:
+    """What is known of each view: a keyframe, or a frame that hangs on one. Views are numbered as they come."""
+
+    def __init__(self) -> None:
+        """Start with none."""
+        self._keyframe = np.zeros(FIRST_CAPACITY, dtype=np.int64)
+        self._T_keyframe_cam = np.zeros((FIRST_CAPACITY, 4, 4))
+        self._T_world_cam = np.zeros((FIRST_CAPACITY, 4, 4))
+        self._added_at = np.zeros(FIRST_CAPACITY, dtype=np.int64)
+        self._n = 0
+
+    def new(self, keyframe: int, T_keyframe_cam: F64) -> int:
+        """Number a view that hangs on a keyframe at a pose (4, 4) in it; it is not fused yet."""
+        view = self._n
+        if view == len(self._keyframe):
+            for name in ("_keyframe", "_T_keyframe_cam", "_T_world_cam", "_added_at"):
+                column = getattr(self, name)
+                setattr(self, name, np.concatenate((column, np.zeros_like(column))))
+        self._keyframe[view], self._T_keyframe_cam[view] = keyframe, T_keyframe_cam
+        self._added_at[view] = NOT_FUSED
+        self._n += 1
+        return view
+
+    def note(self, view: int, T_world_cam: F64, now: int) -> None:
+        """Note that a view was fused under a pose (4, 4)."""
+        self._T_world_cam[view], self._added_at[view] = T_world_cam, now
+
+    def fused_under(self, view: int) -> tuple[F64, int]:
+        """Return the pose (4, 4) under which, and the time at which a view was fused."""
+        return self._T_world_cam[view], int(self._added_at[view])
+
+    def pose_now(self, view: int, world: Map) -> F64:
+        """Return `T_world_cam` (4, 4) of a view by the map as it is."""
+        pose: F64 = world.keyframe_pose(int(self._keyframe[view])) @ self._T_keyframe_cam[view]
+        return pose
+
+    def forget(self, view: int) -> None:
+        """Leave a view as it was fused for ever."""
+        self._added_at[view] = NOT_FUSED
+
+    def moved(self, world: Map, tolerance_m: float, with_culled: bool) -> list[int]:
+        """Return the views whose pose in the map has changed, the farthest moved first.
+
+        Args:
+            world: The map.
+            tolerance_m: How far a point at a typical depth may move.
+            with_culled: Whether to follow culled keyframes to what they hang on, one by one.
+        """
+        views: I64 = np.flatnonzero(self._added_at[: self._n] != NOT_FUSED)
+        alive = world.keyframes.is_alive[self._keyframe[views]]
+        if not with_culled:
+            views, alive = views[alive], alive[alive]
+        poses = world.keyframes.T_world_cam[self._keyframe[views]] @ self._T_keyframe_cam[views]
+        for i in np.flatnonzero(~alive):
+            poses[i] = self.pose_now(int(views[i]), world)
+        change = se3.inverse(self._T_world_cam[views]) @ poses
+        moved_m = np.linalg.norm(change[:, :3, 3], axis=1) + TYPICAL_DEPTH_M * se3.angle_rad(change)
+        order = np.argsort(-moved_m, kind="stable")
+        finite = np.isfinite(moved_m[order])
+        return [int(view) for view in views[order][finite & (moved_m[order] > tolerance_m)]]
 
 
 @dataclass(frozen=True)

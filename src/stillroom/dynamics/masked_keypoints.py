@@ -7,7 +7,7 @@ import numpy as np
 from stillroom.bounds import bounded, check
 from stillroom.data.frame import Frame
 from stillroom.data.semantics import Semantics
-from stillroom.geometry.growing import Shape, grown
+from stillroom.geometry.pixels import Shape, grown
 from stillroom.protocols import KeypointSieve, Parts, Pending
 
 

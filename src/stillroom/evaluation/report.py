@@ -12,6 +12,8 @@ from stillroom.evaluation.trajectory_errors import RelativeError, Statistics, at
 
 AS_GIVEN = "as given"
 AT_CAMERA = "moved to the camera"
+HEADER = ("error", "ground truth", "rmse", "mean", "median", "std", "min", "max")
+"""Names of the columns of `rows`."""
 
 
 @dataclass(frozen=True)
@@ -149,10 +151,6 @@ def _or_none(measure: Callable[[], RelativeError]) -> RelativeError | None:
 
 
 # An evaluation in plain words and rows, for whoever prints it.
-
-
-HEADER = ("error", "ground truth", "rmse", "mean", "median", "std", "min", "max")
-"""Names of the columns of `rows`."""
 
 
 def rows(evaluation: Evaluation) -> list[tuple[str, ...]]:

@@ -16,6 +16,21 @@ from stillroom.geometry.camera import Camera
 from stillroom.geometry.pixels import values_at
 from stillroom.protocols import Parts
 
+PATCH_RADIUS_PX = 15
+BORDER_PX = 19
+"""The turned pattern reaches 13·√2 px and rounds up; nothing closer to the edge can be described."""
+N_TURNS = 256
+"""The pattern is turned in steps of 1.4°, a tenth of what the descriptor notices; a table is faster than sines."""
+REACH_PX = 13
+"""No comparison reaches further than this from the keypoint, along x or y."""
+_WIDTH = 2 * REACH_PX + 1
+_TILE_PX = 64
+_TILES = 48
+_RIDGE = 20.0
+_AGREEMENT = 0.97
+"""Not 1: OpenCV's blur inside ORB and its public one differ by a rounding now and then."""
+
+
 # FAST corners, spread evenly over every level of the pyramid.
 
 
@@ -108,13 +123,6 @@ def _hash16(px: Floats, seed: int) -> I64:
 # Orientation and ORB descriptor of corners, on one level of the pyramid.
 
 
-PATCH_RADIUS_PX = 15
-BORDER_PX = 19
-"""The turned pattern reaches 13·√2 px and rounds up; nothing closer to the edge can be described."""
-N_TURNS = 256
-"""The pattern is turned in steps of 1.4°, a tenth of what the descriptor notices; a table is faster than sines."""
-
-
 def patch_half_widths() -> I32:
     """Return the half width of each row of the disc over which the orientation is taken, (16,) int32.
 
@@ -180,16 +188,6 @@ def describe(blurred: U8, px: F32, angle_rad: F32, offsets: I32, descriptors: U8
 # vocabularies are trained on it. OpenCV does not export the table, but its answers give it away: on white noise the
 # bit that compares the blurred patch at p and q is the sign of a linear function of the patch, and least squares finds
 # the two places where that function is not zero. This takes a fifth of a second, once a process.
-
-
-REACH_PX = 13
-"""No comparison reaches further than this from the keypoint, along x or y."""
-_WIDTH = 2 * REACH_PX + 1
-_TILE_PX = 64
-_TILES = 48
-_RIDGE = 20.0
-_AGREEMENT = 0.97
-"""Not 1: OpenCV's blur inside ORB and its public one differ by a rounding now and then."""
 
 
 @lru_cache(maxsize=1)

@@ -4,23 +4,153 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
+from scipy.sparse import coo_matrix, csr_matrix
+from scipy.sparse.csgraph import connected_components, dijkstra
 
 from stillroom.data.map import Map
+from stillroom.features.matching import NEAR_BITS
+from stillroom.features.projection import Window, keyframe_targets, search_around
 from stillroom.geometry import se3
-from stillroom.geometry.arrays import F64, I64
+from stillroom.geometry.arrays import F64, I32, I64, Ints
 from stillroom.geometry.camera import Camera
-from stillroom.loops.essential_graph import essential_edges, shared_points
-from stillroom.loops.fusing import fuse_place, take_over
-from stillroom.loops.moving import follow_keyframes, move_rigidly
-from stillroom.loops.recognition.verification import Loop
+from stillroom.loops.verification import Loop
 from stillroom.optimize.pose_graph import PoseGraph, PoseGraphOptimizer
 
-SIGMA_M, SIGMA_RAD = 0.01, 0.005
-"""How exact a motion between keyframes is that share a hundred points; they relate as at a depth of two metres."""
+WINDOW = Window(4.0, levels_above=0, max_bits=NEAR_BITS)
 TYPICAL_SHARED = 100.0
 LEAST_SHARED = 15.0
+SIGMA_M, SIGMA_RAD = 0.01, 0.005
+"""How exact a motion between keyframes is that share a hundred points; they relate as at a depth of two metres."""
+
+
+# The essential graph: few edges that carry the shape of the whole map (ORB-SLAM, Mur-Artal et al. 2015, III-D).
+
+
+def alive_parent(keyframe: int, world: Map) -> int:
+    """Return the nearest keyframe above this one in the spanning tree that was not culled; −1 for a root."""
+    parent = int(world.keyframes.parent[keyframe])
+    while parent >= 0 and not world.keyframes.is_alive[parent]:
+        parent = int(world.keyframes.parent[parent])
+    return parent
+
+
+def essential_edges(world: Map, min_weight: int | None) -> I64:
+    """Return the edges (E, 2) between alive keyframes: spanning tree, strong covisibility, and the loops closed so far.
+
+    Args:
+        world: The map.
+        min_weight: Shared points from which on covisibility is strong (ORB-SLAM2: 100); None leaves it out.
+    """
+    table, children = world.keyframes, world.alive_keyframes()
+    parents = table.parent[children].astype(np.int64)
+    while True:
+        culled = np.flatnonzero((parents >= 0) & ~table.is_alive[parents])
+        if len(culled) == 0:
+            break
+        parents[culled] = table.parent[parents[culled]]
+    tree = np.column_stack((parents, children))[parents >= 0]
+    loops = np.array(world.loop_edges, dtype=np.int64).reshape(-1, 2)
+    kinds = [tree, loops]
+    if min_weight is not None:
+        weighted = world.covisibility.edges().astype(np.int64)
+        kinds.append(weighted[weighted[:, 2] >= min_weight, :2])
+    edges = np.sort(np.concatenate(kinds), axis=1)
+    return np.unique(edges[table.is_alive[edges].all(axis=1)], axis=0)
+
+
+def shared_points(edges: I64, world: Map) -> F64:
+    """Return how many points the keyframes of each edge (E, 2) share, (E,)."""
+    return np.array([world.covisibility.weight(int(first), int(second)) for first, second in edges], dtype=np.float64)
+
+
+def paths_from(keyframe: int, edges: I64, world: Map) -> F64:
+    """Return the length [m] of the shortest way through the graph to each keyframe (K,); infinite where none leads.
+
+    An edge is as long as its keyframes are apart, and a turn of one radian counts as a metre: both are where drift
+    comes from.
+    """
+    poses = world.keyframes.T_world_cam
+    apart = se3.inverse(poses[edges[:, 0]]) @ poses[edges[:, 1]]
+    length_m = np.linalg.norm(apart[:, :3, 3], axis=1) + se3.angle_rad(apart)
+    n = len(world.keyframes)
+    graph: csr_matrix = coo_matrix((length_m + 1e-9, (edges[:, 0], edges[:, 1])), shape=(n, n)).tocsr()
+    lengths_m: F64 = dijkstra(graph, directed=False, indices=keyframe)
+    return lengths_m
+
+
+# Points go where the keyframes go that saw them first.
+
+
+def move_rigidly(keyframes: Sequence[int] | I64, T_new_old: F64, world: Map) -> None:
+    """Move keyframes (K,) by one motion (4, 4), without their points."""
+    chosen = np.asarray(keyframes, dtype=np.int64)
+    world.keyframes.T_world_cam[chosen] = T_new_old @ world.keyframes.T_world_cam[chosen]
+
+
+def follow_keyframes(point_ids: I64, T_world_old: F64, world: Map) -> None:
+    """Move points (P,) with the keyframe that saw each first.
+
+    Args:
+        point_ids: Points in the map; those that nothing sees stay.
+        T_world_old: Poses of all keyframes (K, 4, 4) before they moved.
+        world: The map, its keyframes moved already.
+    """
+    rows = world.oldest_observations(point_ids)
+    ids, rows = point_ids[rows >= 0], rows[rows >= 0]
+    T_new_old = world.keyframes.T_world_cam[: len(T_world_old)] @ se3.inverse(T_world_old)
+    apply_motions(ids, T_new_old[world.keypoints.keyframe[rows]], world)
+
+
+def apply_motions(point_ids: I64, T_new_old: F64, world: Map) -> None:
+    """Move points (P,), each by its own motion (P, 4, 4)."""
+    positions_m = world.points.position_m[point_ids]
+    moved = np.einsum("nij,nj->ni", T_new_old[:, :3, :3], positions_m) + T_new_old[:, :3, 3]
+    world.points.position_m[point_ids] = moved
+
+
+def carry_newer(n_known: int, T_world_old: F64, world: Map) -> None:
+    """Move keyframes from id `n_known` on with their parents, which have moved since they were at `T_world_old`.
+
+    Args:
+        n_known: Number of keyframes that have been moved already.
+        T_world_old: Poses of all keyframes (K, 4, 4) before.
+        world: The map.
+    """
+    keyframes = world.keyframes
+    for keyframe in range(n_known, len(keyframes)):
+        parent = alive_parent(keyframe, world)
+        if parent >= 0 and keyframes.is_alive[keyframe]:
+            T_parent_cam = se3.inverse(T_world_old[parent]) @ T_world_old[keyframe]
+            keyframes.T_world_cam[keyframe] = keyframes.T_world_cam[parent] @ T_parent_cam
+
+
+# Making one point of two when a place is seen again; the place's own points stay (ORB-SLAM2: SearchAndFuse).
+
+
+def take_over(point_ids: I32, rows: Ints, world: Map) -> None:
+    """Let rows (M,) see points (M,): what they saw so far is replaced by them everywhere."""
+    other = world.keypoints.point[rows]
+    fresh = other < 0
+    world.observe(point_ids[fresh], rows[fresh])
+    old, new = other[~fresh], point_ids[~fresh]
+    # Each point at most once on either side, so that no chain of replacements forms.
+    _, first = np.unique(old, return_index=True)
+    keep = np.zeros(len(old), dtype=np.bool_)
+    keep[first] = True
+    keep &= ~np.isin(old, new) & (old != new)
+    world.replace_points(old[keep], new[keep])
+
+
+def fuse_place(point_ids: I32, keyframe: int, camera: Camera, world: Map) -> None:
+    """Look for the points (P,) of a place in a keyframe that lies right by now, and let it see them."""
+    points = world.points
+    own = world.points_of(keyframe)
+    is_seen = np.zeros(len(points), dtype=np.bool_)
+    is_seen[own[own >= 0]] = True
+    ids = point_ids[~is_seen[point_ids] & points.is_alive[point_ids]]
+    T_cam_world = se3.inverse(world.keyframes.T_world_cam[keyframe])
+    found = search_around(ids, T_cam_world, camera, world, keyframe_targets(keyframe, world), WINDOW)
+    take_over(found.point_ids, world.rows(keyframe).start + found.target.astype(np.int64), world)
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,8 @@ from stillroom.data.map import Map
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import I64
 from stillroom.geometry.camera import Camera
-from stillroom.loops.moving import carry_newer, follow_keyframes
-from stillroom.optimize import measurements
+from stillroom.loops.correction import carry_newer, follow_keyframes
+from stillroom.optimize import observations
 from stillroom.optimize.bundle import BundleAdjuster, BundleProblem, BundleResult
 
 
@@ -50,8 +50,8 @@ class GlobalBundle:
             points_world_m=points.position_m[self._points].copy(),
             obs_keyframe=node[table.keyframe[self._rows]].astype(np.int32),
             obs_point=place,
-            observed_px=measurements.observed_px(table.px[self._rows], right_px),
-            weights=measurements.weights(table.octave[self._rows], right_px, world.scales.inverse_variances),
+            observed_px=observations.observed_px(table.px[self._rows], right_px),
+            weights=observations.weights(table.octave[self._rows], right_px, world.scales.inverse_variances),
             p_static=table.p_static[self._rows],
         )
 

@@ -8,13 +8,12 @@ import numpy as np
 
 from stillroom.bounds import bounded
 from stillroom.data.map import Map, submaps
-from stillroom.features.places.place_memory import PlaceMemory
+from stillroom.features.places.place_index import PlaceMemory
 from stillroom.geometry import se3
 from stillroom.loops.correction import fuse_group
 from stillroom.loops.global_bundle import GlobalBundle
-from stillroom.loops.recognition.verification import Loop, VerificationConfig
-from stillroom.loops.snapshot import Snapshot
-from stillroom.loops.verdict import LinkChange, judge
+from stillroom.loops.verdict import LinkChange, Snapshot, judge
+from stillroom.loops.verification import Loop, VerificationConfig
 from stillroom.optimize.bundle import BundleConfig
 from stillroom.protocols import Parts
 

@@ -8,16 +8,14 @@ from typing import Protocol
 import numpy as np
 
 from stillroom.bounds import bounded, check
-from stillroom.features.places.place_memory import PlaceMemory
+from stillroom.features.places.place_index import PlaceMemory
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64
-from stillroom.loops.correction import Correction, close_loop
-from stillroom.loops.essential_graph import essential_edges, paths_from
+from stillroom.loops.correction import Correction, close_loop, essential_edges, paths_from
+from stillroom.loops.detection import DetectionConfig
 from stillroom.loops.global_bundle import GlobalBundle
-from stillroom.loops.recognition.detection import DetectionConfig
-from stillroom.loops.recognition.verification import Loop, VerificationConfig
-from stillroom.loops.snapshot import Snapshot
-from stillroom.loops.verdict import LinkChange, Verdict, judge
+from stillroom.loops.verdict import LinkChange, Snapshot, Verdict, judge
+from stillroom.loops.verification import Loop, VerificationConfig
 from stillroom.optimize.bundle import BundleConfig
 from stillroom.optimize.pose_graph import PoseGraphConfig
 from stillroom.protocols import Parts

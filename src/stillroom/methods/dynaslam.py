@@ -9,7 +9,7 @@ geometry has numbers of our own; the paper's and its code's are `--set dynamics.
 from stillroom.config import SlamConfig
 from stillroom.dense.dense_mapper import DenseMapperConfig
 from stillroom.dynamics.masked_keypoints import MaskedKeypointsConfig
-from stillroom.dynamics.multiview.sieve import MultiViewConfig
+from stillroom.dynamics.multiview.multiview_sieve import MultiViewConfig
 from stillroom.methods.method import Method
 from stillroom.semantics.masks.pspnet import PspNetConfig
 from stillroom.semantics.masks.regions import RegionsConfig

@@ -2,8 +2,8 @@
 
 from dataclasses import replace
 
-from stillroom.dynamics.keep_all import KeepAllKeypointsConfig
-from stillroom.dynamics.multiview.sieve import MultiViewConfig
+from stillroom.dynamics.chain import KeepAllKeypointsConfig
+from stillroom.dynamics.multiview.multiview_sieve import MultiViewConfig
 from stillroom.methods import dynaslam
 from stillroom.methods.method import Method
 from stillroom.semantics.nothing import NothingConfig

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from stillroom.dynamics.multiview.sieve import MultiViewConfig
+from stillroom.dynamics.multiview.multiview_sieve import MultiViewConfig
 from stillroom.methods import dynaslam
 from stillroom.methods.method import Method
 from stillroom.tracking.low_cost import NoLowCostConfig

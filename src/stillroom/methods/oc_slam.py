@@ -2,13 +2,13 @@
 
 Differs from the paper: epipolar lines are taken from the tracked pose and helped by depth, what lies in a box counts as
 moving until shown to be static (`dynamics/epipolar.py`), and a cluster is judged by depth as well as by its matches,
-over more than one image (`dynamics/clusters/sieve.py`). The paper's literal rule is
+over more than one image (`dynamics/cluster_sieve.py`). The paper's literal rule is
 `--set dynamics.kind=paper-epipolar`; boxes without clusters are `--set clusters.kind=nothing`.
 """
 
 from stillroom.config import SlamConfig
 from stillroom.dense.dense_mapper import DenseMapperConfig
-from stillroom.dynamics.clusters.sieve import ClusterSieveConfig
+from stillroom.dynamics.cluster_sieve import ClusterSieveConfig
 from stillroom.methods.method import Method
 from stillroom.semantics.depth_clusters import DepthClustersConfig
 from stillroom.semantics.yolo_fastest import YoloFastestConfig

@@ -24,7 +24,7 @@ from stillroom.optimize.bundle_kernels import (
     move_cameras,
     move_points,
 )
-from stillroom.optimize.projection import intrinsics_of
+from stillroom.optimize.observations import intrinsics_of
 from stillroom.optimize.reduced_system import reduced_system
 
 

@@ -11,7 +11,7 @@ import numba
 import numpy as np
 
 from stillroom.geometry.arrays import F64, I64, Bool
-from stillroom.optimize.projection import (
+from stillroom.optimize.observations import (
     MIN_DEPTH_M,
     behind_chi_square,
     camera_blocks,

@@ -13,7 +13,7 @@ import numpy as np
 from stillroom.bounds import bounded
 from stillroom.geometry.arrays import F64, Bool, Floats
 from stillroom.geometry.camera import Camera
-from stillroom.optimize.projection import (
+from stillroom.optimize.observations import (
     behind_chi_square,
     camera_blocks,
     chi_square,

@@ -2,8 +2,7 @@
 
 from stillroom.pipeline.evaluating import Judged, evaluate_files, evaluate_folder
 from stillroom.pipeline.options import RunOptions, RunOutcome, Source
-from stillroom.pipeline.progress import SILENT, Progress
-from stillroom.pipeline.run import run
+from stillroom.pipeline.run import SILENT, Progress, run
 
 __all__ = [
     "SILENT",

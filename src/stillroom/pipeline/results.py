@@ -32,7 +32,7 @@ from typing import Any
 import numpy as np
 
 from stillroom.config import SlamConfig, to_toml
-from stillroom.data.cloud.dense_cloud import DenseCloud
+from stillroom.data.clouds import DenseCloud
 from stillroom.data.map import submaps
 from stillroom.data.result import Recovery
 from stillroom.data.trajectory import Trajectory, read_tum
@@ -47,12 +47,17 @@ from stillroom.pipeline.provenance import provenance
 from stillroom.protocols import Dataset
 from stillroom.system import Slam
 
-# Where results lie: a new folder for each run, and a link to the latest.
-
-
 log = logging.getLogger(__name__)
-
 LATEST = "latest"
+CONFIG = "config.toml"
+FINAL, ONLINE, KEYFRAMES = "trajectory.tum", "trajectory_online.tum", "keyframes.tum"
+FRAMES, TIMING, METRICS, PICTURES = "frames.csv", "timing.csv", "metrics.json", "pictures"
+CLOUD = "cloud.ply"
+TRUTH, TRUTH_CAMERA = "groundtruth.tum", "groundtruth_camera.tum"
+UNREADABLE = "unreadable"
+
+
+# Where results lie: a new folder for each run, and a link to the latest.
 
 
 def new_folder(root: Path, *names: str, latest: bool = True) -> Path:
@@ -131,14 +136,6 @@ def _point_latest_to(folder: Path) -> None:
 
 def _cannot_make(folder: Path, error: OSError) -> StillroomError:
     return StillroomError(f"{folder}: cannot be made a folder for results ({error.strerror}); choose another")
-
-
-CONFIG = "config.toml"
-FINAL, ONLINE, KEYFRAMES = "trajectory.tum", "trajectory_online.tum", "keyframes.tum"
-FRAMES, TIMING, METRICS, PICTURES = "frames.csv", "timing.csv", "metrics.json", "pictures"
-CLOUD = "cloud.ply"
-TRUTH, TRUTH_CAMERA = "groundtruth.tum", "groundtruth_camera.tum"
-UNREADABLE = "unreadable"
 
 
 @dataclass(frozen=True)

@@ -1,15 +1,21 @@
 """Run a method over a sequence."""
 
+import logging
+import signal
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import FrameType, TracebackType
+from typing import Any, Protocol
 
 import cv2
 import numpy as np
 
 from stillroom.config import SlamConfig
-from stillroom.data.result import FrameResult, Tracked
+from stillroom.data.image import RgbdImage
+from stillroom.data.result import FrameResult, Tracked, TrackingState
 from stillroom.data.semantics import Semantics
 from stillroom.errors import ConfigError, FrameError
 from stillroom.evaluation.timing import FRAME, StageClock
@@ -18,17 +24,141 @@ from stillroom.pipeline.evaluating import evaluate_trajectory
 from stillroom.pipeline.maps import OpenedMap, opened_map
 from stillroom.pipeline.options import RunOptions, RunOutcome
 from stillroom.pipeline.plots import draw_maps, draw_plots
-from stillroom.pipeline.progress import SILENT, Progress, Remarks
-from stillroom.pipeline.stop_request import StopRequest
 from stillroom.protocols import Dataset, RunObserver
-from stillroom.semantics.detector_off import withhold
+from stillroom.semantics.detector import withhold
 from stillroom.semantics.mask_files import MaskFilesConfig
 from stillroom.system import build, segmenter_of
 from stillroom.viz.nothing import Nothing
 from stillroom.viz.recorder import PictureRecorderConfig
 
+log = logging.getLogger(__name__)
+MAX_UNREADABLE = 10
+BLACK_BELOW = 8
 LOADING = "loading"
 SWITCH_INTERVAL_S = 0.0005
+
+
+# Ctrl-C in the middle of a run.
+
+
+class StopRequest:
+    """Turns the first Ctrl-C of a block into a flag; the second interrupts at once; while held, none does.
+
+    A frame that is begun is finished, so that map and trajectory are whole when they are written. Signals reach the
+    main thread only: on another one this does nothing.
+    """
+
+    def __init__(self) -> None:
+        self.asked = False
+        self._is_held = False
+        self._previous: Any = None
+        self._tellers: list[threading.Thread] = []
+
+    def __enter__(self) -> "StopRequest":
+        """Listen."""
+        if threading.current_thread() is threading.main_thread():
+            self._previous = signal.signal(signal.SIGINT, self._on_signal)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        """Give the signal back to whoever had it."""
+        if self._previous is not None:
+            signal.signal(signal.SIGINT, self._previous)
+        for teller in self._tellers:
+            teller.join()
+
+    def hold(self) -> None:
+        """From now on let no Ctrl-C interrupt: what was tracked is being written."""
+        self._is_held = True
+
+    def _on_signal(self, number: int, frame: FrameType | None) -> None:
+        if self._is_held:
+            self.asked = True
+            self._tell("the results are being written, which takes a moment")
+            return
+        if self.asked:
+            self.hold()  # Or a third one could come before the results are begun.
+            raise KeyboardInterrupt
+        self.asked = True
+        self._tell("stopping after this frame; Ctrl-C again stops at once")
+
+    def _tell(self, text: str) -> None:
+        """Warn from another thread.
+
+        A signal may come in the middle of a line that this thread is writing to where the warning goes, and a writer
+        must not be called again from within itself.
+        """
+        teller = threading.Thread(target=log.warning, args=(text,))
+        self._tellers.append(teller)
+        teller.start()
+
+
+# Who is told how a run gets on, and what the log says of it.
+
+
+class Progress(Protocol):
+    """Is told of each frame, such as by a progress bar."""
+
+    def start(self, n_frames: int) -> None:
+        """Take note that so many frames will come."""
+
+    def frame(self, result: FrameResult | None) -> None:
+        """Take note of a frame; None is one that could not be read."""
+
+    def finish(self) -> None:
+        """Take note that no frame will come any more."""
+
+
+class Silent:
+    """Tells nobody."""
+
+    def start(self, n_frames: int) -> None:
+        """Do nothing."""
+
+    def frame(self, result: FrameResult | None) -> None:
+        """Do nothing."""
+
+    def finish(self) -> None:
+        """Do nothing."""
+
+
+SILENT = Silent()
+
+
+class Remarks:
+    """Puts into the log what is odd about a run: one line when it begins, not one for every frame that it lasts."""
+
+    def __init__(self) -> None:
+        self._n_unreadable = 0
+        self._odd: dict[str, bool] = {}
+
+    def unreadable(self, number: int, error: FrameError) -> None:
+        """Remark that an image cannot be read."""
+        self._n_unreadable += 1
+        if self._n_unreadable <= MAX_UNREADABLE:
+            log.warning("image %d is left out: %s", number, error)
+        if self._n_unreadable == MAX_UNREADABLE:
+            log.warning("further images that cannot be read are left out without a word")
+
+    def frame(self, image: RgbdImage, result: FrameResult) -> None:
+        """Remark what is odd about an image, and where tracking is lost and found."""
+        is_black = int(image.rgb.max()) < BLACK_BELOW
+        self._begins("black", is_black, "image %d is black", image.index)
+        no_depth = not is_black and not image.depth_m.any()
+        self._begins("no depth", no_depth, "image %d has no depth anywhere", image.index)
+        # A black image says by itself why there is no pose.
+        was_lost = self._odd.get("lost", False)
+        is_lost = result.state is TrackingState.LOST and (was_lost or not is_black)
+        self._begins("lost", is_lost, "tracking is lost at image %d", image.index)
+        if was_lost and not is_lost:
+            log.warning("tracking goes on at image %d", image.index)
+
+    def _begins(self, what: str, is_so: bool, message: str, number: int) -> None:
+        if is_so and not self._odd.get(what, False):
+            log.warning(message, number)
+        self._odd[what] = is_so
 
 
 def run(

@@ -1,10 +1,16 @@
 """Detectors: boxes in one image, without memory; and the plainest segmenter made of one."""
 
 from collections.abc import Collection, Sequence
-from typing import Protocol
+from typing import Protocol, runtime_checkable
+
+import numpy as np
 
 from stillroom.data.image import RgbdImage
-from stillroom.data.semantics import Box, Semantics
+from stillroom.data.semantics import Box, Semantics, nothing
+from stillroom.geometry.arrays import I64, Floats
+from stillroom.protocols import Segmenter
+
+FrameRange = tuple[int, int]
 
 
 class Detector(Protocol):
@@ -12,6 +18,16 @@ class Detector(Protocol):
 
     def detect(self, image: RgbdImage) -> tuple[Box, ...]:
         """Return the boxes of movable things, and of named ones, the most confident first."""
+
+
+@runtime_checkable
+class HasDetector(Protocol):
+    """A segmenter made of a detector, which can be exchanged."""
+
+    detector: Detector
+
+    def with_detector(self, detector: Detector) -> Segmenter:
+        """Return the same segmenter with another detector."""
 
 
 class EachFrameAlone:
@@ -36,3 +52,86 @@ def of_boxes(image: RgbdImage, boxes: Sequence[Box], named: Collection[str]) -> 
     movable = tuple(box for box in boxes if box.label not in named)
     still = tuple(box for box in boxes if box.label in named)
     return Semantics(image.height, image.width, movable, named=still)
+
+
+# Withhold a detector's answer for stretches of frames, to see what becomes of tracking without it.
+
+
+def withhold(segmenter: Segmenter, ranges: Sequence[FrameRange]) -> Segmenter:
+    """Return a segmenter whose detector finds nothing in the images of some ranges.
+
+    The detector is silenced, not what stands behind it: boxes are still carried on. A segmenter without a detector
+    says in those images that nothing may move.
+
+    Args:
+        segmenter: A fresh segmenter; not used any more afterwards.
+        ranges: Image indices, first and one past the last.
+    """
+    if isinstance(segmenter, HasDetector):
+        return segmenter.with_detector(WithheldDetector(segmenter.detector, ranges))
+    return WithheldSegmenter(segmenter, ranges)
+
+
+class WithheldDetector:
+    """A detector that finds nothing in the images of some ranges."""
+
+    def __init__(self, detector: Detector, ranges: Sequence[FrameRange]) -> None:
+        self._detector = detector
+        self._ranges = tuple(ranges)
+
+    def detect(self, image: RgbdImage) -> tuple[Box, ...]:
+        """Return the detector's boxes, or none."""
+        return () if _within(image, self._ranges) else self._detector.detect(image)
+
+
+class WithheldSegmenter:
+    """A segmenter that says nothing in the images of some ranges."""
+
+    def __init__(self, segmenter: Segmenter, ranges: Sequence[FrameRange]) -> None:
+        self._segmenter = segmenter
+        self._ranges = tuple(ranges)
+
+    def __call__(self, image: RgbdImage) -> Semantics:
+        """Return the segmenter's answer, or that nothing may move."""
+        if _within(image, self._ranges):
+            return nothing(image.height, image.width)
+        return self._segmenter(image)
+
+
+def _within(image: RgbdImage, ranges: Sequence[FrameRange]) -> bool:
+    return any(first <= image.index < end for first, end in ranges)
+
+
+# Boxes as arrays: overlap, and the best of many that overlap.
+
+
+def overlap(first: Floats, second: Floats) -> Floats:
+    """Return intersection over union of each of A boxes with each of B, (A, B); boxes are x_min y_min x_max y_max."""
+    corner_min = np.maximum(first[:, None, :2], second[None, :, :2])
+    corner_max = np.minimum(first[:, None, 2:], second[None, :, 2:])
+    common = np.prod(np.maximum(corner_max - corner_min, 0.0), axis=2)
+    area_first = np.prod(np.maximum(first[:, 2:] - first[:, :2], 0.0), axis=1)
+    area_second = np.prod(np.maximum(second[:, 2:] - second[:, :2], 0.0), axis=1)
+    union = area_first[:, None] + area_second[None, :] - common
+    return np.asarray(common / np.maximum(union, 1e-9))
+
+
+def suppress(boxes: Floats, scores: Floats, labels: I64, max_iou: float) -> I64:
+    """Keep the best of the boxes of one class that overlap each other by more than `max_iou`.
+
+    Args:
+        boxes: Edges (N, 4).
+        scores: The higher the better (N,).
+        labels: Class (N,); boxes of different classes do not suppress each other.
+        max_iou: Highest overlap that two kept boxes of one class may have.
+
+    Returns:
+        Indices of the kept boxes, best first; equal scores keep their order.
+    """
+    order = np.argsort(-scores, kind="stable")
+    clash = (overlap(boxes[order], boxes[order]) > max_iou) & (labels[order][:, None] == labels[order][None, :])
+    kept = np.ones(len(order), dtype=np.bool_)
+    for i in range(len(order)):
+        if kept[i]:
+            kept[i + 1 :] &= ~clash[i, i + 1 :]
+    return np.asarray(order[kept], dtype=np.int64)

@@ -15,7 +15,7 @@ from stillroom.data.image import RgbdImage
 from stillroom.data.semantics import Box, Instance, Semantics, nothing, union_of
 from stillroom.errors import ConfigError, DatasetError
 from stillroom.geometry.arrays import U8, Ints
-from stillroom.geometry.growing import Shape, grown
+from stillroom.geometry.pixels import Shape, grown
 from stillroom.protocols import Parts, Segmenter
 
 SUFFIXES = {".png", ".bmp", ".tif", ".tiff", ".pgm", ".webp"}  # without loss; JPEG blurs labels

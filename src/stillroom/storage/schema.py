@@ -12,6 +12,74 @@ from stillroom.errors import MapError
 from stillroom.geometry.arrays import F64
 from stillroom.geometry.camera import Camera
 
+APPLICATION_ID = 0x5374696C
+"""Says in the file's header whose it is: "Stil" in ASCII."""
+VERSION = 1
+"""The version of the format, in the header's `user_version`."""
+POINTS_A_BLOCK = 256
+"""Points are stored in blocks of so many ids: a block is written again when one of its points has changed."""
+TABLES = """
+CREATE TABLE map (
+    id INTEGER PRIMARY KEY CHECK (id = 1),
+    width INTEGER NOT NULL, height INTEGER NOT NULL,
+    fx REAL NOT NULL, fy REAL NOT NULL, cx REAL NOT NULL, cy REAL NOT NULL,
+    k1 REAL NOT NULL, k2 REAL NOT NULL, p1 REAL NOT NULL, p2 REAL NOT NULL, k3 REAL NOT NULL,
+    depth_factor REAL NOT NULL, bf REAL NOT NULL,
+    scale_factor REAL NOT NULL, n_levels INTEGER NOT NULL,
+    n_points INTEGER NOT NULL
+);
+CREATE TABLE sessions (
+    session INTEGER PRIMARY KEY,
+    first_keyframe INTEGER NOT NULL,
+    started TEXT NOT NULL, stillroom TEXT NOT NULL, source_commit TEXT NOT NULL,
+    sequence TEXT NOT NULL, method TEXT NOT NULL, seed INTEGER NOT NULL,
+    vocabulary TEXT NOT NULL, vocabulary_digest TEXT NOT NULL, config TEXT NOT NULL
+);
+CREATE TABLE keyframes (
+    keyframe INTEGER PRIMARY KEY,
+    timestamp_s REAL NOT NULL, image_index INTEGER NOT NULL, n_keypoints INTEGER NOT NULL,
+    submap INTEGER NOT NULL, is_alive INTEGER NOT NULL, parent INTEGER NOT NULL,
+    T_world_cam BLOB NOT NULL, T_parent_cam BLOB NOT NULL
+);
+CREATE TABLE keypoints (
+    keyframe INTEGER PRIMARY KEY,
+    px BLOB NOT NULL, octave BLOB NOT NULL, angle_rad BLOB NOT NULL, right_px BLOB NOT NULL, depth_m BLOB NOT NULL,
+    descriptors BLOB NOT NULL, is_static BLOB NOT NULL
+);
+CREATE TABLE observations (
+    keyframe INTEGER PRIMARY KEY,
+    point BLOB NOT NULL, older_row BLOB NOT NULL
+);
+CREATE TABLE points (
+    block INTEGER PRIMARY KEY,
+    id BLOB NOT NULL,
+    position_m BLOB NOT NULL, descriptors BLOB NOT NULL, normal BLOB NOT NULL,
+    min_distance_m BLOB NOT NULL, max_distance_m BLOB NOT NULL,
+    first_row BLOB NOT NULL, n_observations BLOB NOT NULL, n_keyframes BLOB NOT NULL, first_keyframe BLOB NOT NULL,
+    n_visible BLOB NOT NULL, n_found BLOB NOT NULL
+);
+CREATE TABLE covisibility (
+    older INTEGER NOT NULL, newer INTEGER NOT NULL, weight INTEGER NOT NULL,
+    PRIMARY KEY (older, newer)
+) WITHOUT ROWID;
+CREATE INDEX covisibility_newer ON covisibility (newer);
+CREATE TABLE loops (
+    place INTEGER PRIMARY KEY,
+    known INTEGER NOT NULL, returned INTEGER NOT NULL
+);
+CREATE TABLE frames (
+    session INTEGER NOT NULL, image_index INTEGER NOT NULL,
+    timestamp_s REAL NOT NULL, reference_keyframe INTEGER NOT NULL, T_reference_cam BLOB NOT NULL,
+    PRIMARY KEY (session, image_index)
+) WITHOUT ROWID;
+CREATE TABLE images (
+    keyframe INTEGER PRIMARY KEY,
+    depth_png BLOB NOT NULL, rgb_jpeg BLOB NOT NULL
+);
+"""
+POSE = np.dtype("<f8")
+
+
 # What a map file holds, beside the tables of the map itself.
 
 
@@ -85,78 +153,6 @@ class StoredMap:
     camera: Camera
     sessions: tuple[Session, ...] = ()
     frames: tuple[FrameNote, ...] = ()
-
-
-APPLICATION_ID = 0x5374696C
-"""Says in the file's header whose it is: "Stil" in ASCII."""
-
-VERSION = 1
-"""The version of the format, in the header's `user_version`."""
-
-POINTS_A_BLOCK = 256
-"""Points are stored in blocks of so many ids: a block is written again when one of its points has changed."""
-
-TABLES = """
-CREATE TABLE map (
-    id INTEGER PRIMARY KEY CHECK (id = 1),
-    width INTEGER NOT NULL, height INTEGER NOT NULL,
-    fx REAL NOT NULL, fy REAL NOT NULL, cx REAL NOT NULL, cy REAL NOT NULL,
-    k1 REAL NOT NULL, k2 REAL NOT NULL, p1 REAL NOT NULL, p2 REAL NOT NULL, k3 REAL NOT NULL,
-    depth_factor REAL NOT NULL, bf REAL NOT NULL,
-    scale_factor REAL NOT NULL, n_levels INTEGER NOT NULL,
-    n_points INTEGER NOT NULL
-);
-CREATE TABLE sessions (
-    session INTEGER PRIMARY KEY,
-    first_keyframe INTEGER NOT NULL,
-    started TEXT NOT NULL, stillroom TEXT NOT NULL, source_commit TEXT NOT NULL,
-    sequence TEXT NOT NULL, method TEXT NOT NULL, seed INTEGER NOT NULL,
-    vocabulary TEXT NOT NULL, vocabulary_digest TEXT NOT NULL, config TEXT NOT NULL
-);
-CREATE TABLE keyframes (
-    keyframe INTEGER PRIMARY KEY,
-    timestamp_s REAL NOT NULL, image_index INTEGER NOT NULL, n_keypoints INTEGER NOT NULL,
-    submap INTEGER NOT NULL, is_alive INTEGER NOT NULL, parent INTEGER NOT NULL,
-    T_world_cam BLOB NOT NULL, T_parent_cam BLOB NOT NULL
-);
-CREATE TABLE keypoints (
-    keyframe INTEGER PRIMARY KEY,
-    px BLOB NOT NULL, octave BLOB NOT NULL, angle_rad BLOB NOT NULL, right_px BLOB NOT NULL, depth_m BLOB NOT NULL,
-    descriptors BLOB NOT NULL, is_static BLOB NOT NULL
-);
-CREATE TABLE observations (
-    keyframe INTEGER PRIMARY KEY,
-    point BLOB NOT NULL, older_row BLOB NOT NULL
-);
-CREATE TABLE points (
-    block INTEGER PRIMARY KEY,
-    id BLOB NOT NULL,
-    position_m BLOB NOT NULL, descriptors BLOB NOT NULL, normal BLOB NOT NULL,
-    min_distance_m BLOB NOT NULL, max_distance_m BLOB NOT NULL,
-    first_row BLOB NOT NULL, n_observations BLOB NOT NULL, n_keyframes BLOB NOT NULL, first_keyframe BLOB NOT NULL,
-    n_visible BLOB NOT NULL, n_found BLOB NOT NULL
-);
-CREATE TABLE covisibility (
-    older INTEGER NOT NULL, newer INTEGER NOT NULL, weight INTEGER NOT NULL,
-    PRIMARY KEY (older, newer)
-) WITHOUT ROWID;
-CREATE INDEX covisibility_newer ON covisibility (newer);
-CREATE TABLE loops (
-    place INTEGER PRIMARY KEY,
-    known INTEGER NOT NULL, returned INTEGER NOT NULL
-);
-CREATE TABLE frames (
-    session INTEGER NOT NULL, image_index INTEGER NOT NULL,
-    timestamp_s REAL NOT NULL, reference_keyframe INTEGER NOT NULL, T_reference_cam BLOB NOT NULL,
-    PRIMARY KEY (session, image_index)
-) WITHOUT ROWID;
-CREATE TABLE images (
-    keyframe INTEGER PRIMARY KEY,
-    depth_png BLOB NOT NULL, rgb_jpeg BLOB NOT NULL
-);
-"""
-
-POSE = np.dtype("<f8")
 
 
 @dataclass(frozen=True)

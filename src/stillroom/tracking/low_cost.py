@@ -19,7 +19,7 @@ from stillroom.data.question import Question
 from stillroom.data.result import Tracked
 from stillroom.data.semantics import Semantics
 from stillroom.geometry.arrays import F64
-from stillroom.optimize import measurements
+from stillroom.optimize import observations
 from stillroom.optimize.pose import PoseOptimizerConfig
 from stillroom.protocols import MatchSieve, Parts, Pending, QuickTracking
 from stillroom.tracking import correspondences
@@ -83,8 +83,8 @@ class LowCost:
         estimate = self._optimize(
             T_cam_world,
             world.points.position_m[matches.point_id],
-            measurements.observed_px(kp.px[matches.keypoint], right_px),
-            measurements.weights(kp.octave[matches.keypoint], right_px, frame.scales.inverse_variances),
+            observations.observed_px(kp.px[matches.keypoint], right_px),
+            observations.weights(kp.octave[matches.keypoint], right_px, frame.scales.inverse_variances),
             frame.camera,
         )
         if estimate.n_inliers < self.config.min_matches:

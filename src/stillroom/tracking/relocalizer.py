@@ -2,17 +2,199 @@
 
 from dataclasses import dataclass, field, replace
 
+import cv2
 import numpy as np
 
 from stillroom.bounds import bounded
+from stillroom.data.frame import Frame
 from stillroom.data.map import Map
+from stillroom.data.matches import Matches
 from stillroom.data.result import Recovery, Tracked, TrackingState
 from stillroom.data.semantics import Semantics
-from stillroom.features.places.place_memory import PlaceMemory
+from stillroom.features.matching import consistent_rotation
+from stillroom.features.places.place_index import PlaceMemory
+from stillroom.features.places.vocabulary import Bag, match_by_branch
+from stillroom.features.projection import Window, search_around
+from stillroom.geometry.arrays import F64, I32, Bool
+from stillroom.optimize import observations
+from stillroom.optimize.pose import PoseOptimizerConfig
 from stillroom.protocols import Parts, Pending
-from stillroom.tracking.correspondences import with_keyframe
-from stillroom.tracking.recognition import Found, RecognitionConfig, solve_pnp
+from stillroom.tracking.correspondences import targets_of, with_keyframe
 from stillroom.tracking.tracker import Tracker
+
+MATCHING_RATIO = 0.75
+
+
+# From a keyframe that looks alike to a pose: matching, PnP by RANSAC, optimisation, guided search (ORB-SLAM2).
+
+
+@dataclass(frozen=True)
+class RecognitionConfig:
+    """When a place is taken for recognised (ORB-SLAM2's numbers; docs/reference.md#orb-slam2-relocalization).
+
+    Attributes:
+        min_matches: Matches by words that a keyframe needs.
+        reprojection_px: RANSAC's tolerance.
+        n_samples: Samples that RANSAC draws at most.
+        min_ransac_inliers: Points that must agree with RANSAC's pose, and with the one refined from them.
+        wide_px, wide_bits: Window on the finest level, and largest distance of descriptors, of the first search around
+            where points should be.
+        narrow_px, narrow_bits: The same of the second, once `narrow_from` points agree.
+        narrow_from: See there.
+        min_inliers: Points that must agree in the end.
+        pose: The optimiser.
+    """
+
+    min_matches: int = 15
+    reprojection_px: float = 4.0
+    n_samples: int = 300
+    min_ransac_inliers: int = 10
+    wide_px: float = 10.0
+    wide_bits: int = 100
+    narrow_px: float = 3.0
+    narrow_bits: int = 64
+    narrow_from: int = 30
+    min_inliers: int = 50
+    pose: PoseOptimizerConfig = field(default_factory=PoseOptimizerConfig)
+
+    def build(self, parts: Parts) -> "Recognizer":
+        """Return the recogniser; its random choices start from the seed."""
+        return Recognizer(self, parts.seed)
+
+
+@dataclass(frozen=True)
+class Found:
+    """A pose and what agrees with it.
+
+    Attributes:
+        T_cam_world: The pose (4, 4).
+        point_ids: Map point of each keypoint (N,) int32; −1 where none.
+    """
+
+    T_cam_world: F64
+    point_ids: I32
+
+    @property
+    def n_inliers(self) -> int:
+        """Number of points that agree."""
+        return int((self.point_ids >= 0).sum())
+
+
+class Recognizer:
+    """Tells whether a frame shows the place that a keyframe saw, and from where."""
+
+    def __init__(self, config: RecognitionConfig, seed: int) -> None:
+        """Keep what it takes."""
+        self.config, self.seed = config, seed
+        self._optimize = config.pose.build()
+
+    def recognise(self, frame: Frame, bag: Bag, keyframe: int, nodes: I32, world: Map) -> Found | None:
+        """Return the pose of a frame by the points of a keyframe and its neighbours; None where too few agree.
+
+        Differs from ORB-SLAM2: the guided search looks for the points of the keyframe's neighbours too.
+
+        Args:
+            frame: The frame.
+            bag: What it says.
+            keyframe: The keyframe that looks like it.
+            nodes: The branch of each of its keypoints.
+            world: The map.
+        """
+        config = self.config
+        matches = by_words(frame, bag, keyframe, nodes, world)
+        if len(matches) < config.min_matches:
+            return None
+        solved = solve_pnp(
+            frame, matches, world, config.reprojection_px, config.n_samples, config.min_ransac_inliers, self.seed
+        )
+        if solved is None:
+            return None
+        found = self.fit(frame, solved[0], matches.keep(solved[1]), world)
+        if found.n_inliers < config.min_ransac_inliers:
+            return None
+        group = [keyframe, *world.covisibility.neighbours(keyframe, 10)]
+        surroundings = world.points_seen_by(np.array(group))
+        if found.n_inliers < config.min_inliers:
+            found = self._search(frame, found, surroundings, config.wide_px, config.wide_bits, world)
+        if config.narrow_from <= found.n_inliers < config.min_inliers:
+            found = self._search(frame, found, surroundings, config.narrow_px, config.narrow_bits, world)
+        return found if found.n_inliers >= config.min_inliers else None
+
+    def fit(self, frame: Frame, T_cam_world: F64, matches: Matches, world: Map) -> Found:
+        """Optimise a pose (4, 4) over matches, and keep those that agree with it."""
+        keypoints = frame.keypoints
+        right_px = keypoints.right_px[matches.keypoint]
+        estimate = self._optimize(
+            T_cam_world,
+            world.points.position_m[matches.point_id],
+            observations.observed_px(keypoints.px[matches.keypoint], right_px),
+            observations.weights(keypoints.octave[matches.keypoint], right_px, frame.scales.inverse_variances),
+            frame.camera,
+        )
+        inlier = estimate.is_inlier
+        point_ids = np.full(len(frame), -1, dtype=np.int32)
+        point_ids[matches.keypoint[inlier]] = matches.point_id[inlier]
+        return Found(estimate.T_cam_world, point_ids)
+
+    def _search(self, frame: Frame, found: Found, ids: I32, radius_px: float, max_bits: int, world: Map) -> Found:
+        """Look for more of the points (P,) where the pose says they are, and fit it to all of them."""
+        missing = ids[~np.isin(ids, found.point_ids)]
+        more = around_projections(
+            frame, found.T_cam_world, missing, found.point_ids < 0, Window(radius_px, max_bits=max_bits), world
+        )
+        point_ids = found.point_ids.copy()
+        point_ids[more.keypoint] = more.point_id
+        return self.fit(frame, found.T_cam_world, Matches.of(point_ids), world)
+
+
+def by_words(frame: Frame, bag: Bag, keyframe: int, nodes: I32, world: Map) -> Matches:
+    """Match a frame with the points of a keyframe, branch by branch of the vocabulary."""
+    rows = world.rows(keyframe)
+    point = world.keypoints.point[rows]
+    mine, theirs = match_by_branch(
+        frame.keypoints.descriptors,
+        np.where(frame.is_static, bag.nodes, np.int32(-1)),
+        world.keypoints.descriptors[rows],
+        np.where(point >= 0, nodes, np.int32(-1)),
+        ratio=MATCHING_RATIO,
+    )
+    steady = consistent_rotation(world.keypoints.angle_rad[rows][theirs], frame.keypoints.angle_rad[mine])
+    return Matches(mine, point[theirs], world.keypoints.px[rows][theirs]).keep(steady)
+
+
+def around_projections(frame: Frame, T_cam_world: F64, ids: I32, free: Bool, window: Window, world: Map) -> Matches:
+    """Look for points (P,) among the free keypoints (N,) near where they should be under a pose (4, 4)."""
+    targets = targets_of(frame, free & frame.is_static)
+    found = search_around(ids, T_cam_world, frame.camera, world, targets, window)
+    unknown_px = np.full((len(found.target), 2), np.nan, dtype=np.float32)
+    return Matches(found.target, found.point_ids, unknown_px)
+
+
+def solve_pnp(
+    frame: Frame, matches: Matches, world: Map, reprojection_px: float, n_samples: int, min_inliers: int, seed: int
+) -> tuple[F64, Bool] | None:
+    """Solve for `T_cam_world` (4, 4) by EPnP in RANSAC; return it with which matches (M,) agree, or None."""
+    points_m = world.points.position_m[matches.point_id]
+    centre_m = points_m.mean(axis=0)  # sub-maps may lie far from the origin
+    cv2.setRNGSeed(seed)
+    found, rotation, translation, inliers = cv2.solvePnPRansac(
+        points_m - centre_m,
+        frame.keypoints.px[matches.keypoint].astype(np.float64),
+        frame.camera.K,
+        np.zeros(4),
+        iterationsCount=n_samples,
+        reprojectionError=reprojection_px,
+        confidence=0.99,
+        flags=cv2.SOLVEPNP_EPNP,
+    )
+    if not found or inliers is None or len(inliers) < min_inliers:
+        return None
+    T_cam_world = np.eye(4)
+    T_cam_world[:3, :3] = cv2.Rodrigues(rotation)[0]
+    T_cam_world[:3, 3] = translation[:, 0] - T_cam_world[:3, :3] @ centre_m
+    is_inlier = np.zeros(len(matches), dtype=np.bool_)
+    is_inlier[inliers[:, 0]] = True
+    return T_cam_world, is_inlier
 
 
 @dataclass(frozen=True)

@@ -14,12 +14,86 @@ from stillroom.data.result import Recovery, Tracked, TrackingState
 from stillroom.data.semantics import Semantics
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64, I32
-from stillroom.optimize import measurements
+from stillroom.optimize import observations
 from stillroom.optimize.pose import PoseOptimizerConfig
 from stillroom.protocols import MatchSieve, Parts, Pending, QuickTracking
-from stillroom.tracking import correspondences, local_map
+from stillroom.tracking import correspondences
 from stillroom.tracking.low_cost import NoLowCost
-from stillroom.tracking.motion_model import ConstantVelocity
+
+MAX_KEYFRAMES = 80
+_NEIGHBOURS = 10
+
+
+# The camera goes on as it went.
+
+
+class ConstantVelocity:
+    """Remembers the motion between the last two frames."""
+
+    def __init__(self) -> None:
+        """Start without a velocity."""
+        self._T_cam_last: F64 | None = None
+
+    @property
+    def is_known(self) -> bool:
+        """Whether there were two neighbouring frames with a pose."""
+        return self._T_cam_last is not None
+
+    def predict(self, T_world_last: F64) -> F64:
+        """Return the guess `T_cam_world` (4, 4) of the next frame, given the last pose as known now."""
+        T_last_world = se3.inverse(T_world_last)
+        return T_last_world if self._T_cam_last is None else self._T_cam_last @ T_last_world
+
+    def update(self, T_world_last: F64, T_world_cam: F64) -> None:
+        """Learn from two neighbouring poses (4, 4)."""
+        self._T_cam_last = se3.orthonormalize(se3.inverse(T_world_cam) @ T_world_last)
+
+    def forget(self) -> None:
+        """Drop the velocity, after a frame without a pose."""
+        self._T_cam_last = None
+
+
+# The part of the map around the camera.
+
+
+@dataclass(frozen=True)
+class LocalMap:
+    """Keyframes that share points with a frame, their neighbours, and all that they see.
+
+    Attributes:
+        reference: The keyframe that shares most points.
+        keyframes: Their ids.
+        points: Points that they see (P,) int32, in order of id.
+    """
+
+    reference: int
+    keyframes: tuple[int, ...]
+    points: I32
+
+
+def local_map_of(point_ids: I32, fallback: int, world: Map) -> LocalMap:
+    """Gather the local map of a frame (ORB-SLAM2: UpdateLocalKeyFrames, UpdateLocalPoints).
+
+    Args:
+        point_ids: Points that the frame sees (N,), −1 for none.
+        fallback: Keyframe to use when none of them is seen by any.
+        world: The map.
+    """
+    votes = world.count_shared(point_ids)
+    voters = np.flatnonzero(votes)
+    if len(voters) == 0:
+        voters = np.array([fallback])
+        votes[fallback] = 1
+    voters = voters[np.argsort(-votes[voters], kind="stable")][:MAX_KEYFRAMES]
+    chosen = dict.fromkeys(int(voter) for voter in voters)
+    for voter in list(chosen):
+        if len(chosen) >= MAX_KEYFRAMES:
+            break
+        for neighbour in world.covisibility.neighbours(voter, _NEIGHBOURS):
+            if neighbour not in chosen:
+                chosen[neighbour] = None
+                break
+    return LocalMap(int(voters[0]), tuple(chosen), world.points_seen_by(np.array(list(chosen))))
 
 
 @dataclass(frozen=True)
@@ -194,7 +268,7 @@ class Tracker:
     def _with_local_map(
         self, frame: Frame, fix: _Fix, reference: int, semantics: Pending[Semantics], world: Map
     ) -> Tracked:
-        surroundings = local_map.select(fix.point_ids, reference, world)
+        surroundings = local_map_of(fix.point_ids, reference, world)
         missing = world.without(surroundings.points, np.concatenate((fix.point_ids, fix.rejected)))
         found, visible = correspondences.with_points(
             frame, missing, fix.point_ids < 0, fix.T_cam_world, world, self.config.local_window
@@ -231,8 +305,8 @@ class Tracker:
         estimate = self._optimize(
             guess,
             world.points.position_m[matches.point_id],
-            measurements.observed_px(kp.px[matches.keypoint], right_px),
-            measurements.weights(kp.octave[matches.keypoint], right_px, frame.scales.inverse_variances),
+            observations.observed_px(kp.px[matches.keypoint], right_px),
+            observations.weights(kp.octave[matches.keypoint], right_px, frame.scales.inverse_variances),
             frame.camera,
             None if motion.p_static is None else motion.p_static[matches.keypoint],
         )

@@ -7,11 +7,11 @@ import pytest
 from flat_wall import wall_depth
 from small_world import CAMERA, NO_DEPTH, SCALES, SmallWorld, pose
 
-from stillroom.data.cloud.dense_cloud import DenseCloud
+from stillroom.data.clouds import DenseCloud
 from stillroom.data.image import RgbdImage
 from stillroom.data.map import Map
 from stillroom.datasets.open import open_dataset
-from stillroom.dense.inpainting.painter import BackgroundPainter, InpaintingConfig, Painted
+from stillroom.dense.inpainting import BackgroundPainter, InpaintingConfig, Painted
 from stillroom.errors import ConfigError
 from stillroom.geometry import se3
 from stillroom.geometry.camera import Camera

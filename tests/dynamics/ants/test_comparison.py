@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from stillroom.dynamics.ants.comparison import PointSet, compare, total
-from stillroom.dynamics.ants.scent import ScentConfig
-from stillroom.dynamics.ants.search import ReverseSearchConfig
+from stillroom.dynamics.ants.search import ReverseSearchConfig, ScentConfig
 
 POINTS = np.random.default_rng(0).uniform((0, 0), (640, 480), (700, 2))
 MOVES = np.linalg.norm(POINTS - (300, 250), axis=1) < 70

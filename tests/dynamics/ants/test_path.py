@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from stillroom.dynamics.ants.colony import ColonyConfig, length_px
-from stillroom.dynamics.ants.path import PathConfig, density_nodes, serpentine
+from stillroom.dynamics.ants.colony import ColonyConfig, PathConfig, density_nodes, length_px, serpentine
 from stillroom.errors import ConfigError
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from stillroom.dynamics.ants.scent import Scent, ScentConfig
+from stillroom.dynamics.ants.search import Scent, ScentConfig
 
 EVERYWHERE = np.stack(np.meshgrid(np.arange(0.0, 640, 5), np.arange(0.0, 480, 5)), axis=-1).reshape(-1, 2)
 

@@ -4,10 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
+from stillroom.dynamics.ants.colony import PathConfig
 from stillroom.dynamics.ants.communities import convex_hull, within
-from stillroom.dynamics.ants.path import PathConfig
-from stillroom.dynamics.ants.scent import ScentConfig
-from stillroom.dynamics.ants.search import ReverseSearchConfig, exhaustive, first_node_near, search
+from stillroom.dynamics.ants.search import ReverseSearchConfig, ScentConfig, exhaustive, first_node_near, search
 
 CONFIG = ReverseSearchConfig()
 

@@ -8,11 +8,10 @@ import pytest
 from small_world import CAMERA, pose
 from staged_things import HOME, Thing, clusters_of, seen
 
-from stillroom.data.cloud.clusters import PLANE
+from stillroom.data.clouds import PLANE
 from stillroom.data.frame import Frame
 from stillroom.data.semantics import Semantics
-from stillroom.dynamics.clusters.belief import Belief
-from stillroom.dynamics.clusters.samples import STEP_PX, Sampler
+from stillroom.dynamics.cluster_evidence import STEP_PX, Belief, Sampler
 from stillroom.geometry import se3
 from stillroom.geometry.camera import Camera
 

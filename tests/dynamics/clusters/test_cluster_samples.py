@@ -8,9 +8,9 @@ import pytest
 from small_world import CAMERA, SmallWorld, pose
 from staged_things import clusters_of
 
-from stillroom.data.cloud.clusters import PLANE, UNKNOWN, Clusters
+from stillroom.data.clouds import PLANE, UNKNOWN, Clusters
 from stillroom.data.frame import Frame
-from stillroom.dynamics.clusters.samples import STEP_PX, Sampler
+from stillroom.dynamics.cluster_evidence import STEP_PX, Sampler
 from stillroom.geometry.camera import Camera
 
 # A lens worse than any that is sold: a wrong term shows.

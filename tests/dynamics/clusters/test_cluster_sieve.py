@@ -8,11 +8,11 @@ from building import parts
 from small_world import SmallMap, pose
 from staged_things import HOME, STEP_S, WALL, Play, Thing, empty_wall, on, seen, share
 
-from stillroom.data.cloud.clusters import PLANE, UNKNOWN
+from stillroom.data.clouds import PLANE, UNKNOWN
 from stillroom.data.frame import Frame
 from stillroom.data.motion import Stage
 from stillroom.data.semantics import Box
-from stillroom.dynamics.clusters.sieve import ClusterSieveConfig
+from stillroom.dynamics.cluster_sieve import ClusterSieveConfig
 
 CHAIR, PERSON = Thing(60, 200, 100, 200, 2.0), Thing(300, 100)
 STEP_PX = 45

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from staged_things import clusters_of
 
-from stillroom.data.cloud.clusters import PLANE, UNKNOWN
-from stillroom.dynamics.clusters.pixels import MovingPixels
+from stillroom.data.clouds import PLANE, UNKNOWN
+from stillroom.dynamics.cluster_evidence import MovingPixels
 
 MARGIN_PX = 3
 

@@ -15,11 +15,10 @@ from stillroom.data.motion import Motion, Stage
 from stillroom.data.semantics import Semantics, nothing
 from stillroom.datasets.open import open_dataset
 from stillroom.datasets.selection import select
-from stillroom.dynamics.ants.scent import ScentConfig
-from stillroom.dynamics.ants.search import ReverseSearchConfig
+from stillroom.dynamics.ants.search import ReverseSearchConfig, ScentConfig
 from stillroom.dynamics.homography.compensation import CompensationConfig, choose_probes
+from stillroom.dynamics.homography.homography_sieve import CompensatedHomographyConfig, CompensatedHomographySieve, fill
 from stillroom.dynamics.homography.past import Past, view_of
-from stillroom.dynamics.homography.sieve import CompensatedHomographyConfig, CompensatedHomographySieve, fill
 from stillroom.errors import ConfigError
 from stillroom.features.orb import OrbConfig
 from stillroom.geometry import homography, se3

@@ -18,12 +18,17 @@ from stillroom.data.result import FrameResult, Tracked
 from stillroom.data.semantics import Box, Instance, Semantics
 from stillroom.datasets.open import open_dataset
 from stillroom.datasets.selection import select
-from stillroom.dynamics.multiview.presets import CodeMultiViewConfig, PaperMultiViewConfig
-from stillroom.dynamics.multiview.sieve import MultiViewConfig, MultiViewSieve, without_found
+from stillroom.dynamics.multiview.multiview_sieve import (
+    CodeMultiViewConfig,
+    MultiViewConfig,
+    MultiViewSieve,
+    PaperMultiViewConfig,
+    without_found,
+)
 from stillroom.dynamics.multiview.views import KeyframesConfig, KeyframeViews
 from stillroom.errors import ConfigError
 from stillroom.geometry import se3
-from stillroom.geometry.growing import Shape, grown
+from stillroom.geometry.pixels import Shape, grown
 from stillroom.schedule import Done
 from stillroom.system import build
 

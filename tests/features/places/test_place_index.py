@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from stillroom.data.map import Covisibility
-from stillroom.features.places.branch_matching import match_by_branch
 from stillroom.features.places.place_index import PlaceIndex, Resemblance, best_places, score
-from stillroom.features.places.vocabulary import Bag
+from stillroom.features.places.vocabulary import Bag, match_by_branch
 
 N_WORDS = 400
 

@@ -8,7 +8,7 @@ from ring_map import vocabulary_of
 from small_world import SmallMap, SmallWorld, pose
 
 from stillroom.features.places.growth import GrowthConfig
-from stillroom.features.places.place_memory import PlaceMemory, PlacesConfig
+from stillroom.features.places.place_index import PlaceMemory, PlacesConfig
 from stillroom.features.places.vocabulary import load_vocabulary
 
 SHIPPED_MB = 3.0

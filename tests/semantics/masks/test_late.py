@@ -10,8 +10,7 @@ from red_network import red_config, reddened, save_red_network
 from stillroom.data.image import RgbdImage
 from stillroom.data.semantics import Semantics
 from stillroom.datasets.open import open_dataset
-from stillroom.semantics.masks.carry import MaskCarryConfig
-from stillroom.semantics.masks.late import LateMasks
+from stillroom.semantics.masks.carried_masks import LateMasks, MaskCarryConfig
 from stillroom.semantics.masks.refine import RefineConfig, refined
 from stillroom.semantics.masks.segments import HalfImage, Segments
 

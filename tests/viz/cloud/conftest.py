@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from dense_clouds import CEILING, CRATE, FLOOR, WALL, assemble, cube, sheet
 
-from stillroom.data.cloud.dense_cloud import DenseCloud
+from stillroom.data.clouds import DenseCloud
 
 
 @pytest.fixture(scope="session")

@@ -7,13 +7,11 @@ import numpy as np
 import pytest
 from dense_clouds import CRATE, EMPTY, FLOOR, assemble, cube, select, sheet
 
-from stillroom.data.cloud.dense_cloud import DenseCloud
+from stillroom.data.clouds import DenseCloud
 from stillroom.errors import ConfigError, StillroomError
 from stillroom.geometry import se3
 from stillroom.geometry.camera import Camera
-from stillroom.viz.cloud.pair import GAP_PX, draw_dense_pair
-from stillroom.viz.cloud.render import CloudRendererConfig
-from stillroom.viz.cloud.shading import creases, fill_gaps
+from stillroom.viz.cloud.render import GAP_PX, CloudRendererConfig, creases, draw_dense_pair, fill_gaps
 from stillroom.viz.cloud.splat import splat
 from stillroom.viz.cloud.view import View, default_view
 

@@ -2,9 +2,8 @@
 
 import typer
 
-from stillroom.cli.bench.dense import ghosts
 from stillroom.cli.bench.geometry import ablation, geometry
-from stillroom.cli.bench.trials import accuracy, parts, rejection, speed
+from stillroom.cli.bench.trials import accuracy, ghosts, parts, rejection, speed
 
 HELP = "Measure accuracy, the worth of rejection, speed, and ghosts."
 

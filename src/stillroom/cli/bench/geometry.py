@@ -6,12 +6,10 @@ from typing import Annotated
 
 import typer
 
-from stillroom.benchmark.geometry import ablation as combining
-from stillroom.benchmark.geometry.ablation import Ablated
-from stillroom.benchmark.geometry.onlooker import GeometryTrialConfig
-from stillroom.benchmark.geometry.picture import write_geometry_picture
-from stillroom.benchmark.geometry.table import HEADER, GeometryTable, geometry_table
-from stillroom.benchmark.geometry.truth_onlooker import MovingThings
+from stillroom.bench import ablation as combining
+from stillroom.bench.ablation import Ablated
+from stillroom.bench.geometry_table import HEADER, GeometryTable, geometry_table, write_geometry_picture
+from stillroom.bench.onlookers import GeometryTrialConfig, MovingThings
 from stillroom.cli.arguments import Settings
 from stillroom.cli.bench.session import Bench, Camera, Frames, Out, Runs, Sequences
 from stillroom.cli.output import print_lines, say

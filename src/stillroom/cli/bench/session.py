@@ -8,8 +8,8 @@ from typing import Annotated, Any, TypeVar
 
 import typer
 
-from stillroom.benchmark.accuracy import Accuracy
-from stillroom.benchmark.trial import attempt, poses_only
+from stillroom.bench.accuracy import Accuracy
+from stillroom.bench.trial import attempt, poses_only
 from stillroom.cli.output import STDERR, FrameBar, print_lines, print_table, say, show_log
 from stillroom.cli.warmup import ensure_warm
 from stillroom.config import SlamConfig
@@ -18,7 +18,7 @@ from stillroom.errors import StillroomError
 from stillroom.pipeline import Source
 from stillroom.pipeline.provenance import provenance
 from stillroom.protocols import Dataset
-from stillroom.semantics.detector_off import FrameRange
+from stillroom.semantics.detector import FrameRange
 
 INTERRUPTED = 130
 R = TypeVar("R")

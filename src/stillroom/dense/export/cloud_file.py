@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from stillroom.data.cloud.dense_cloud import DenseCloud
+from stillroom.data.clouds import DenseCloud
 from stillroom.dense.export.replacing import replacing
 from stillroom.errors import MapError
 

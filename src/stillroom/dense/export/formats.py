@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from difflib import get_close_matches
 from pathlib import Path
 
-from stillroom.data.cloud.dense_cloud import DenseCloud
+from stillroom.data.clouds import DenseCloud
 from stillroom.dense.export.mesh import MeshConfig
 from stillroom.dense.export.occupancy import OccupancyConfig
 from stillroom.dense.export.octomap import write_octomap

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stillroom.data.cloud.dense_cloud import DenseCloud
+from stillroom.data.clouds import DenseCloud
 from stillroom.dense.export.ply import VERTEX, filled, write_mesh_ply
 from stillroom.dense.export.signed_distance import (
     BLOCK,

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from stillroom.bounds import bounded, check
-from stillroom.data.cloud.dense_cloud import DenseCloud
+from stillroom.data.clouds import DenseCloud
 from stillroom.dense.export.floor import Floor, FloorConfig, find_floor
 from stillroom.dense.export.replacing import replacing
 from stillroom.errors import MapError

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stillroom.data.cloud.dense_cloud import DenseCloud
+from stillroom.data.clouds import DenseCloud
 from stillroom.dense.export.replacing import replacing
 
 FIELDS = ("x", "y", "z", "rgb", "normal_x", "normal_y", "normal_z", "curvature")

@@ -4,8 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stillroom.dense.keyframe_cloud import UNIT_M, KeyframeCloud
-from stillroom.dense.surface_kernels import I8
+from stillroom.dense.keyframe_cloud import I8, UNIT_M, KeyframeCloud
 from stillroom.dense.voxels.fusing_kernels import (
     BLOCK,
     N_COLUMNS,

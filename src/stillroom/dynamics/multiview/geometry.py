@@ -27,7 +27,7 @@ from stillroom.dynamics.multiview.views import AskedViews, KeyframesConfig, Keyf
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F32, F64, I32, I64, U8, Bool
 from stillroom.geometry.camera import Camera
-from stillroom.geometry.growing import Shape, grown
+from stillroom.geometry.pixels import Shape, grown
 
 __all__ = ["BORDER", "DYNAMIC", "UNSEEN", "Geometry", "GeometryConfig", "PointsInView"]
 

@@ -11,8 +11,7 @@ from stillroom.data.frame import Frame
 from stillroom.data.map import Map
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F32, F64, I64, Bool
-from stillroom.geometry.growing import Shape, element
-from stillroom.geometry.pixels import values_at
+from stillroom.geometry.pixels import Shape, element, values_at
 
 STRIDE = 4
 """Every fourth pixel of a keyframe's depth image is kept."""

@@ -2,17 +2,36 @@
 
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import wraps
+from pathlib import Path
 from typing import Concatenate, ParamSpec, TypeVar
 
 import numpy as np
 from numba import njit
 
-from stillroom.data.map import Covisibility
+from stillroom.bounds import bounded
+from stillroom.data.frame import Frame
+from stillroom.data.map import Covisibility, Map
 from stillroom.data.map.tables import Column, Table
-from stillroom.features.places.vocabulary import Bag
+from stillroom.features.places.growth import GrowthConfig, grow
+from stillroom.features.places.vocabulary import Bag, Vocabulary, load_vocabulary
 from stillroom.geometry.arrays import F32, F64, I32, I64, Bool
+from stillroom.protocols import Parts
+
+P = ParamSpec("P")
+T = TypeVar("T")
+ENTRIES = 7
+COMMON_SHARE = 0.8
+"""A candidate has at least this share of the most words that any keyframe shares with the image."""
+SCORE_SHARE = 0.75
+"""A group's score is at least this share of the best group's."""
+_NEIGHBOURS = 10
+USED, NEXT = 2 * ENTRIES, 2 * ENTRIES + 1
+"""A block of the inverted file is one line of the processor's cache: seven keyframes of a word, each with its weight (a
+float32 in the bits of an int32), how many of the seven there are, and the next block."""
+N_BLOCKS, FREE = 0, 1
+"""What the kernels keep count of: blocks that were ever used, and the first of those given back."""
 
 
 @dataclass(frozen=True)
@@ -32,17 +51,6 @@ class Resemblance:
     def __len__(self) -> int:
         """Number of keyframes."""
         return len(self.keyframes)
-
-
-P = ParamSpec("P")
-T = TypeVar("T")
-
-ENTRIES = 7
-USED, NEXT = 2 * ENTRIES, 2 * ENTRIES + 1
-"""A block of the inverted file is one line of the processor's cache: seven keyframes of a word, each with its weight (a
-float32 in the bits of an int32), how many of the seven there are, and the next block."""
-N_BLOCKS, FREE = 0, 1
-"""What the kernels keep count of: blocks that were ever used, and the first of those given back."""
 
 
 class _Said(Table):
@@ -268,13 +276,6 @@ def resemble(
 # From keyframes that share words to a few places worth a closer look (ORB-SLAM2's two queries).
 
 
-COMMON_SHARE = 0.8
-"""A candidate has at least this share of the most words that any keyframe shares with the image."""
-SCORE_SHARE = 0.75
-"""A group's score is at least this share of the best group's."""
-_NEIGHBOURS = 10
-
-
 def best_places(found: Resemblance, covisibility: Covisibility, min_score: float = 0.0) -> I32:
     """Return the keyframes (C,) that stand for the most similar places, the best place first.
 
@@ -298,3 +299,97 @@ def best_places(found: Resemblance, covisibility: Covisibility, min_score: float
     bar = SCORE_SHARE * max(totals.values(), default=0.0)
     kept = [keyframe for keyframe, total in totals.items() if total >= bar]
     return np.array(sorted(kept, key=lambda keyframe: (-totals[keyframe], keyframe)), dtype=np.int32)
+
+
+# What a map remembers of its places: the keyframes of the map in an index, kept up to date.
+
+
+@dataclass(frozen=True)
+class PlacesConfig:
+    """Place recognition.
+
+    Attributes:
+        vocabulary: The file of the vocabulary, from `stillroom train-vocabulary`; None for the one that is shipped.
+        grow_every: The tree grows on the run's own keyframes each time that so many have come; 0: never.
+        growth: How it grows.
+    """
+
+    vocabulary: Path | None = None
+    grow_every: int = bounded(0, least=0)
+    growth: GrowthConfig = field(default_factory=lambda: GrowthConfig(depth=6, min_descriptors=50))
+
+    def build(self, parts: Parts) -> "PlaceMemory":
+        """Return the memory of a map's places, empty.
+
+        Raises:
+            VocabularyError: The vocabulary cannot be read.
+        """
+        return PlaceMemory(load_vocabulary(self.vocabulary), parts.world, self)
+
+
+class PlaceMemory:
+    """Knows the keyframes of a map by what they look like. Only static keypoints have a say.
+
+    Attributes:
+        vocabulary: The words.
+        index: The keyframes by their words; loop closing asks it too.
+    """
+
+    def __init__(self, vocabulary: Vocabulary, world: Map, config: PlacesConfig | None = None) -> None:
+        """Start empty."""
+        self.vocabulary, self.world, self.config = vocabulary, world, config or PlacesConfig()
+        self.index = PlaceIndex(vocabulary.n_words)
+        self._since_grown = 0
+
+    def remember(self, keyframe: int) -> None:
+        """Add a keyframe of the map, and drop those that the map has culled since."""
+        self.forget_culled()
+        if self.world.keyframes.is_alive[keyframe]:
+            self.index.add(keyframe, self.bag_of_keyframe(keyframe))
+        self._since_grown += 1
+        if 0 < self.config.grow_every <= self._since_grown:
+            self.grow()
+
+    def grow(self) -> None:
+        """Split words that say too much in this map, by its own keyframes, and index these again."""
+        self._since_grown = 0
+        table = self.world.keypoints
+        rows = [self.world.rows(int(keyframe)) for keyframe in self.world.alive_keyframes()]
+        static = [table.descriptors[some][table.is_static[some]] for some in rows]
+        self.vocabulary = grow(self.vocabulary, static, self.config.growth)
+        self.index = PlaceIndex(self.vocabulary.n_words)
+        self.remember_all()
+
+    def remember_all(self) -> None:
+        """Add all keyframes of the map that are not in yet, as for a map that was read from a file."""
+        self.forget_culled()
+        for keyframe in self.world.alive_keyframes():
+            if int(keyframe) not in self.index:
+                self.index.add(int(keyframe), self.bag_of_keyframe(int(keyframe)))
+
+    def forget_culled(self) -> None:
+        """Drop keyframes that are no longer in the map."""
+        known = self.index.keyframes
+        for keyframe in known[~self.world.keyframes.is_alive[known]]:
+            self.index.remove(int(keyframe))
+
+    def bag_of_keyframe(self, keyframe: int) -> Bag:
+        """Return what the static keypoints of a keyframe say; its nodes run over all keypoints."""
+        rows = self.world.rows(keyframe)
+        table = self.world.keypoints
+        return self.vocabulary.bag(table.descriptors[rows], table.is_static[rows])
+
+    def bag_of_frame(self, frame: Frame) -> Bag:
+        """Return what the keypoints say that sieve 1 left in a frame."""
+        return self.vocabulary.bag(frame.keypoints.descriptors, frame.is_static)
+
+    def candidates(self, bag: Bag, allowed: Bool | None = None, at_most: int | None = None) -> I32:
+        """Return the keyframes (C,) that stand for the places most like an image, the best first.
+
+        Args:
+            bag: What the image says.
+            allowed: Which keyframe ids (K,) may answer; all where not given.
+            at_most: How many to return.
+        """
+        self.forget_culled()
+        return best_places(self.index.query(bag, allowed), self.world.covisibility)[:at_most]

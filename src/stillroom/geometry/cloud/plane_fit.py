@@ -13,11 +13,13 @@ from numba import njit
 
 from stillroom.geometry.arrays import F32, F64, I32, Bool
 
-# Passes over an organised cloud, for one plane: how far off the samples are, and how the camera bends it.
-
-
 N_TERMS = 6
 """1, x, y, x², x·y, y²: a parabola over the rays."""
+N_SUMS = 10
+"""n, Σx, Σy, Σxx, Σxy, Σyy, Σq, Σxq, Σyq, Σqq, where q is the inverse depth."""
+
+
+# Passes over an organised cloud, for one plane: how far off the samples are, and how the camera bends it.
 
 
 @njit(nogil=True, cache=True)
@@ -112,10 +114,6 @@ def area_moments(points: F32, chosen: Bool, steepness: float) -> F64:
                 s[8] += w * y * z
                 s[9] += w * z * z
     return s
-
-
-N_SUMS = 10
-"""n, Σx, Σy, Σxx, Σxy, Σyy, Σq, Σxq, Σyq, Σqq, where q is the inverse depth."""
 
 
 @njit(nogil=True, cache=True)

@@ -12,6 +12,12 @@ from stillroom.geometry.cloud.backproject import RayGrid
 from stillroom.geometry.cloud.euclidean import depth_scaled, euclidean_clusters
 from stillroom.geometry.cloud.voxels import voxel_filter
 
+NO_BOX = -1
+BIN_M = 0.05
+MANY = 0.6
+NO_SEGMENT = -1
+
+
 # From labels of a cloud's points to a label image on all pixels.
 
 
@@ -95,11 +101,6 @@ def spread_into(samples: Samples, depth_m: F32, step_m: float, step_share: float
 # What of a box's pixels is the thing in the box: those near the depth that most of them have.
 
 
-NO_BOX = -1
-BIN_M = 0.05
-MANY = 0.6
-
-
 def claim_foregrounds(
     z_m: F32,
     free: Bool,
@@ -163,9 +164,6 @@ def _mode(z_m: F32, half_depth_m: float) -> tuple[float, int]:
         last += 1
     inside = np.sort(z_m[(z_m >= (last - width + 1) * BIN_M) & (z_m < (last + 1) * BIN_M)])
     return float(inside[len(inside) // 2]) if len(inside) else 0.0, int(held[last])
-
-
-NO_SEGMENT = -1
 
 
 @dataclass(frozen=True)

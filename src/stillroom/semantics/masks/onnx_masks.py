@@ -10,8 +10,7 @@ from stillroom.data.image import RgbdImage
 from stillroom.data.semantics import Semantics
 from stillroom.protocols import Parts, Segmenter
 from stillroom.semantics.class_names import VOC_CLASSES, channels_of
-from stillroom.semantics.masks.carry import MaskCarryConfig
-from stillroom.semantics.masks.late import LateMasks
+from stillroom.semantics.masks.carried_masks import LateMasks, MaskCarryConfig
 from stillroom.semantics.masks.network import LOGITS, PROBABILITIES, Reading, SegmentationNetwork
 from stillroom.semantics.masks.refine import RefineConfig
 from stillroom.semantics.masks.regions import RegionsConfig, as_semantics, without_specks

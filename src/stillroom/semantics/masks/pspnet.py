@@ -14,7 +14,7 @@ from stillroom.errors import WeightsError
 from stillroom.geometry.arrays import F32, U8
 from stillroom.protocols import Parts, Segmenter
 from stillroom.semantics.class_names import VOC_CLASSES, channels_of
-from stillroom.semantics.masks.carry import MaskCarryConfig
+from stillroom.semantics.masks.carried_masks import MaskCarryConfig
 from stillroom.semantics.masks.network import LOGITS, Reading, SegmentationNetwork
 from stillroom.semantics.masks.onnx_masks import OnnxMasks, OnnxMasksConfig
 from stillroom.semantics.masks.refine import RefineConfig

@@ -7,7 +7,7 @@ import numpy as np
 
 from stillroom.bounds import bounded
 from stillroom.geometry.arrays import F32, U8, Bool
-from stillroom.geometry.growing import Shape, element, grown
+from stillroom.geometry.pixels import Shape, element, grown
 from stillroom.semantics.masks.segments import Segments
 
 FEWEST = 12

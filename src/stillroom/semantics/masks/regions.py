@@ -7,7 +7,7 @@ import numpy as np
 
 from stillroom.bounds import bounded
 from stillroom.data.semantics import Box, Semantics, nothing
-from stillroom.geometry.growing import Shape, grown
+from stillroom.geometry.pixels import Shape, grown
 from stillroom.semantics.masks.segments import Segments
 
 

@@ -10,7 +10,7 @@ from stillroom.data.image import RgbdImage
 from stillroom.data.semantics import Box
 from stillroom.errors import ConfigError, WeightsError
 from stillroom.geometry.arrays import U8
-from stillroom.semantics.boxes import suppress
+from stillroom.semantics.detector import suppress
 from stillroom.semantics.onnx.fit import STRETCH, Colors, Fit
 from stillroom.semantics.onnx.layouts import Layout, Told
 from stillroom.semantics.onnx.session import failures, first_line, image_input

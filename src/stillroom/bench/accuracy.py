@@ -1,0 +1,103 @@
+"""How exact several methods are over several seeds. One run proves nothing (docs/reference.md#comparing-figures)."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from stillroom.bench.trial import Trial
+from stillroom.evaluation.report import percent
+from stillroom.evaluation.trajectory_errors import Spread, improvement_percent
+
+HEADER = ("method", "ATE median", "mean", "min", "max", "improvement", "tracked", "RPE m/s", "deg/s")
+"""Names of the columns of `Accuracy.row`; ATE in m."""
+NONE = "–"
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """The figures of one method on one sequence over several seeds.
+
+    Attributes:
+        sequence: Name of the sequence.
+        method: Name of the method.
+        trials: One run for each seed; at least one.
+    """
+
+    sequence: str
+    method: str
+    trials: tuple[Trial, ...]
+
+    @property
+    def ate_m(self) -> Spread | None:
+        """ATE RMSE, SE(3), ground truth as given [m]; None where one of the runs has none."""
+        figures = [trial.ate_m for trial in self.trials]
+        known = [figure for figure in figures if figure is not None]
+        return Spread.of(known) if len(known) == len(figures) else None
+
+    @property
+    def coverage(self) -> Spread:
+        """Share of the frames that have a pose, 0 to 1."""
+        return Spread.of([trial.coverage for trial in self.trials])
+
+    @property
+    def rpe(self) -> tuple[Spread, Spread] | None:
+        """RPE RMSE over 1 s, translation [m/s] and rotation [deg/s]; None where one of the runs has none."""
+        known = [trial.rpe for trial in self.trials if trial.rpe is not None]
+        if len(known) < len(self.trials):
+            return None
+        return Spread.of([figure[0] for figure in known]), Spread.of([figure[1] for figure in known])
+
+    @property
+    def still_camera_m(self) -> float | None:
+        """ATE of a camera that never moved [m], over the poses of the first run."""
+        evaluation = self.trials[0].evaluation
+        return None if evaluation is None else evaluation.as_given.still_camera_m
+
+    def ate_cells(self) -> tuple[str, str, str]:
+        """Return the ATE's median, least and largest for a table."""
+        ate_m = self.ate_m
+        if ate_m is None:
+            return NONE, NONE, NONE
+        return f"{ate_m.median:.4f}", f"{ate_m.min:.4f}", f"{ate_m.max:.4f}"
+
+    def improvement_percent(self, baseline: "Accuracy") -> float | None:
+        """Return how far the median ATE lies below a baseline's [%]; None where there is nothing to compare."""
+        ours, theirs = self.ate_m, baseline.ate_m
+        return None if ours is None or theirs is None else improvement_percent(theirs.median, ours.median)
+
+    def row(self, baseline: "Accuracy") -> tuple[str, ...]:
+        """Return the cells under `HEADER`: RPE and coverage are the median's and the worst run's."""
+        ate_m, rpe = self.ate_m, self.rpe
+        gain = None if baseline is self else self.improvement_percent(baseline)
+        spread = [NONE] * 4 if ate_m is None else [f"{v:.4f}" for v in (ate_m.median, ate_m.mean, ate_m.min, ate_m.max)]
+        drift = [NONE] * 2 if rpe is None else [f"{rpe[0].median:.4f}", f"{rpe[1].median:.3f}"]
+        return (self.method, *spread, NONE if gain is None else f"{gain:+.1f} %", percent(self.coverage.min), *drift)
+
+    def to_dict(self, baseline: "Accuracy") -> dict[str, Any]:
+        """Return the figures for a JSON file."""
+        ate_m, rpe = self.ate_m, self.rpe
+        return {
+            "sequence": self.sequence,
+            "method": self.method,
+            "ate_se3_m": None if ate_m is None else asdict(ate_m),
+            "still_camera_m": self.still_camera_m,
+            "improvement_percent": None if baseline is self else self.improvement_percent(baseline),
+            "baseline": baseline.method,
+            "coverage": asdict(self.coverage),
+            "rpe_translation_m_s": None if rpe is None else asdict(rpe[0]),
+            "rpe_rotation_deg_s": None if rpe is None else asdict(rpe[1]),
+            "runs": [trial.to_dict() for trial in self.trials],
+        }
+
+
+def sentences(table: Sequence[Accuracy]) -> list[str]:
+    """Return, for one sequence, what the rows must be read with."""
+    still = next((row.still_camera_m for row in table if row.still_camera_m is not None), None)
+    n = len(table[0].trials)
+    lines = [
+        f"ATE: RMSE [m] after SE(3) alignment, ground truth as given, over {n} run{'s' if n > 1 else ''} with seeds "
+        f"0 to {n - 1}; tracked: the worst run's share of {table[0].trials[0].n_given} frames; RPE over 1 s: median"
+    ]
+    if still is None:
+        return [*lines, "without ground truth, or without enough poses, there is nothing to measure against"]
+    return [*lines, f"a camera that never moved has ATE {still:.4f} m"]

@@ -1,0 +1,258 @@
+"""Looks on at a run and puts its images to the two geometries: DynaSLAM's and PSPNet-SLAM's."""
+
+from collections import deque
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from stillroom.data.image import RgbdImage
+from stillroom.data.map.jumps import JumpFollower
+from stillroom.data.matches import Matches
+from stillroom.data.motion import Stage
+from stillroom.data.question import Question
+from stillroom.data.result import FrameResult, Tracked
+from stillroom.data.semantics import Semantics, nothing
+from stillroom.dynamics.ants.colony import PATHS
+from stillroom.dynamics.ants.comparison import PointSet, SearchComparison, compare
+from stillroom.dynamics.ants.search import Found, ReverseSearch, ReverseSearchConfig
+from stillroom.dynamics.asking import Asking
+from stillroom.dynamics.homography.homography_sieve import CompensatedHomographyConfig, Findings
+from stillroom.dynamics.multiview.geometry import DYNAMIC, Geometry, GeometryConfig, PointsInView
+from stillroom.geometry import se3
+from stillroom.geometry.arrays import I64, Bool
+from stillroom.geometry.pixels import Shape, grown, values_at
+from stillroom.protocols import Parts, RenderedDataset
+from stillroom.schedule import Done
+from stillroom.system import Slam
+
+EXHAUSTIVE = "exhaustive"
+KEPT_IMAGES = 40
+MOST_MOVING = 0.5
+CLEAR_PX = 6
+"""Keypoints this near to something that moves count neither as moving nor as static."""
+HOMOGRAPHY, MULTI_VIEW = "compensated homography", "multi-view depth"
+"""The tests of a point: PSPNet-SLAM's, and DynaSLAM's."""
+TESTS = HOMOGRAPHY, MULTI_VIEW
+SERPENTINE, ANTS = PATHS
+
+
+@dataclass(frozen=True)
+class GeometryTrialConfig:
+    """What is asked of each image.
+
+    Attributes:
+        network: Whether what the run's network masks is left out; without, the geometry is on its own, and the people
+            are its to find.
+        homography: PSPNet-SLAM's test and search.
+        multi_view: DynaSLAM's test, on keypoints of keyframes alone, as its paper has it.
+        repeats: How often each way is timed; the fastest counts.
+        picture_of: Number of the image to draw; None for one in which much moves.
+    """
+
+    network: bool = False
+    homography: CompensatedHomographyConfig = field(default_factory=CompensatedHomographyConfig)
+    multi_view: GeometryConfig = field(default_factory=GeometryConfig)
+    repeats: int = 3
+    picture_of: int | None = None
+
+    def build(self, slam: Slam, seed: int) -> "GeometryOnlooker":
+        """Return who looks on at a system's run."""
+        return GeometryOnlooker(self, slam, seed)
+
+
+@dataclass(frozen=True)
+class Shown:
+    """All that a picture of an image's geometry needs.
+
+    Attributes:
+        image, earlier: The image, and the one that it was compared with.
+        findings: What the test said of every point.
+        found: What the ants found of it.
+        ants: Their search.
+        mask: What the network masked (H, W); None without a network.
+    """
+
+    image: RgbdImage
+    earlier: RgbdImage
+    findings: Findings
+    found: Found
+    ants: ReverseSearchConfig
+    mask: Bool | None
+
+
+class GeometryOnlooker:
+    """Times both tests on each tracked image; at the tracked pose, so that neither depends on the run's own sieve.
+
+    Attributes:
+        comparisons: What came of each image, by test and search.
+        shown: The image to draw: the one that was asked for, else one in which much moves.
+    """
+
+    def __init__(self, config: GeometryTrialConfig, slam: Slam, seed: int) -> None:
+        """Start without a past."""
+        self.config, self._slam, self._seed = config, slam, seed
+        parts = Parts(slam.mapper.camera, slam.map, seed)
+        self._sieve = replace(config.homography, search=EXHAUSTIVE).build(parts)
+        self._asking = Asking(self._sieve, slam.map)
+        keyframes = replace(config.multi_view.keyframes, grid_px=0)
+        self._multi_view = replace(config.multi_view, keyframes=keyframes).build()
+        self._jumps = JumpFollower()
+        self._searches = {test: self._new_searches() for test in TESTS}
+        self._images: deque[RgbdImage] = deque(maxlen=KEPT_IMAGES)
+        self._most = 0
+        self.comparisons: dict[tuple[str, str], list[SearchComparison]] = {}
+        self.shown: Shown | None = None
+
+    def on_frame(self, tracked: Tracked, semantics: Semantics, result: FrameResult) -> None:
+        """Compare the ways on an image; one without a pose is left out."""
+        if tracked.T_world_cam is None:
+            return
+        frame, T_cam_world, world = tracked.frame, se3.inverse(tracked.T_world_cam), self._slam.map
+        known = semantics if self.config.network else nothing(frame.image.height, frame.image.width)
+        unmatched = Matches.of(np.full(len(frame), -1, dtype=np.int32))
+        self._images.append(frame.image)
+        T_new_old = self._jumps.missed(world)
+        if T_new_old is not None:
+            self._multi_view.views.follow(T_new_old)
+        self._asking.judge(Question(Stage.LOCAL_MAP, frame, unmatched, Done(known), T_cam_world, world))
+        findings, seen = self._sieve.findings, self._multi_view.points_in_view(frame, T_cam_world, world)
+        if findings is not None and seen is not None:
+            self._compare(findings, seen, known.movable if known.has_any else None)
+        keyframe = tracked.reference_keyframe if result.is_keyframe else -1
+        self._multi_view.views.note(frame, T_cam_world, tracked.motion.moving, keyframe)
+        self._asking.remember(frame, T_cam_world, keyframe)
+
+    def close(self) -> None:
+        """Nothing is left open."""
+
+    def _compare(self, findings: Findings, seen: PointsInView, mask: Bool | None) -> None:
+        self._show(findings, mask)
+        sets = {
+            HOMOGRAPHY: _by_homography(findings, self._multi_view, seen, mask),
+            MULTI_VIEW: _by_depth(self._multi_view, seen, mask),
+        }
+        for test, points in sets.items():
+            for search, compared in compare(points, self._searches[test], self.config.repeats).items():
+                self.comparisons.setdefault((test, search), []).append(compared)
+
+    def _show(self, findings: Findings, mask: Bool | None) -> None:
+        """Keep the image for the picture, if it is the one, or better than the one before."""
+        n = int(np.count_nonzero(findings.found.is_dynamic))
+        wanted = self.config.picture_of
+        # Where nearly all moves, the test has failed rather than found something.
+        more = self._most < n < MOST_MOVING * len(findings.candidates)
+        better = more if wanted is None else findings.index == wanted
+        earlier = [image for image in self._images if image.depth_m is findings.test.then.depth_m]
+        if not better or not earlier:
+            return
+        self._most = n
+        ants = self._searches[HOMOGRAPHY][ANTS]
+        found = ants.search(findings.test.raw_px, findings.test.is_dynamic, mask)
+        self.shown = Shown(self._images[-1], earlier[0], findings, found, ants.config, mask)
+
+    def _new_searches(self) -> dict[str, ReverseSearch]:
+        config = self.config.homography.ants
+        return {kind: replace(config, path=replace(config.path, kind=kind)).build(self._seed) for kind in PATHS}
+
+
+def _by_homography(findings: Findings, geometry: Geometry, seen: PointsInView, mask: Bool | None) -> PointSet:
+    """Return the present keypoints with PSPNet-SLAM's test; regions grow from them as they stand."""
+    px = findings.test.raw_px
+
+    def grow(moves: Bool) -> Bool:
+        return geometry.grow(seen, np.rint(px[moves]).astype(np.int32))
+
+    return PointSet(px, findings.test.is_dynamic, grow, mask)
+
+
+def _by_depth(geometry: Geometry, seen: PointsInView, mask: Bool | None) -> PointSet:
+    """Return the keyframes' keypoints that are in view, with DynaSLAM's test; regions grow from what stands there."""
+    points = seen.in_view
+    if mask is not None:
+        column, row = seen.points.px[points].T
+        points = points[~mask[row, column]]
+
+    def test(which: I64) -> Bool:
+        return np.asarray(geometry.test(seen, points[which]) == DYNAMIC)
+
+    def grow(moves: Bool) -> Bool:
+        return geometry.grow(seen, seen.before_px[points[moves]])
+
+    return PointSet(seen.points.px[points].astype(np.float64), test, grow, mask)
+
+
+# Looks on at a run on a rendered sequence, and counts what of the moving things was found.
+
+
+@dataclass
+class Count:
+    """How many there were, and how many of them were said to move."""
+
+    n: int = 0
+    said: int = 0
+
+    def add(self, said: Bool) -> None:
+        """Count some (N,)."""
+        self.n += len(said)
+        self.said += int(np.count_nonzero(said))
+
+    @property
+    def share(self) -> float | None:
+        """Share of them that was said to move; None where there were none."""
+        return self.said / self.n if self.n else None
+
+
+class MovingThings:
+    """What moves in a rendered sequence, rendered once for all runs on it."""
+
+    def __init__(self, room: RenderedDataset) -> None:
+        """Take the sequence, whole."""
+        self._room = room
+        self._packed: dict[int, tuple[bytes, bytes]] = {}
+        self._shape = room.camera.height, room.camera.width
+
+    def at(self, index: int) -> tuple[Bool, Bool]:
+        """Return the pixels (H, W) of all that moves in an image, and of handled objects that do."""
+        if index not in self._packed:
+            truth = self._room.truth(index)
+            handled = truth.moving & self._room.handled(truth.instance)
+            self._packed[index] = np.packbits(truth.moving).tobytes(), np.packbits(handled).tobytes()
+        moving, handled = (self._unpacked(packed) for packed in self._packed[index])
+        return moving, handled
+
+    def _unpacked(self, packed: bytes) -> Bool:
+        height, width = self._shape
+        bits = np.unpackbits(np.frombuffer(packed, dtype=np.uint8), count=height * width)
+        return bits.reshape(height, width).view(np.bool_)
+
+
+class TruthOnlooker:
+    """Holds the verdicts of a run against what truly moves.
+
+    Attributes:
+        moving, handled, static: Keypoints on all that moves, on handled objects while they move, and clear of both.
+        handled_pixels, static_pixels: Pixels with a depth, likewise.
+    """
+
+    def __init__(self, things: MovingThings) -> None:
+        """Start counting."""
+        self._things = things
+        self.moving, self.handled, self.static = Count(), Count(), Count()
+        self.handled_pixels, self.static_pixels = Count(), Count()
+
+    def on_frame(self, tracked: Tracked, semantics: Semantics, result: FrameResult) -> None:
+        """Count a tracked image."""
+        if tracked.T_world_cam is None:
+            return
+        frame = tracked.frame
+        moving, handled = self._things.at(frame.image.index)
+        clear = ~grown(moving, CLEAR_PX, Shape.SQUARE)
+        said = ~tracked.is_static
+        for count, where in ((self.moving, moving), (self.handled, handled), (self.static, clear)):
+            count.add(said[values_at(where, frame.keypoints.raw_px)])
+        known = frame.image.depth_m > 0
+        self.handled_pixels.add(tracked.motion.moving[handled & known])
+        self.static_pixels.add(tracked.motion.moving[clear & known])
+
+    def close(self) -> None:
+        """Nothing is left open."""

@@ -1,0 +1,180 @@
+"""One run of a method on a sequence, kept for its figures only."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from stillroom.config import SlamConfig
+from stillroom.data.image import RgbdImage
+from stillroom.data.result import FrameResult
+from stillroom.data.semantics import Semantics
+from stillroom.dense.nothing import NoDenseMapConfig
+from stillroom.evaluation.report import Evaluation, percent
+from stillroom.evaluation.timing import StageClock
+from stillroom.pipeline import SILENT, Progress, RunOptions, run
+from stillroom.protocols import Dataset, RunObserver, Segmenter
+from stillroom.semantics.detector import FrameRange, WithheldSegmenter
+from stillroom.system import Slam, segmenter_of
+
+
+@dataclass(frozen=True)
+class FrameAverages:
+    """Some tracked frames, on average.
+
+    Attributes:
+        n_frames: How many there were.
+        keypoints, static, inliers: Keypoints found, judged static, and agreeing with the pose, per such frame.
+    """
+
+    n_frames: int
+    keypoints: float
+    static: float
+    inliers: float
+
+    @property
+    def static_share(self) -> float:
+        """Share of the keypoints that were judged static, 0 to 1."""
+        return self.static / self.keypoints if self.keypoints else 0.0
+
+    @staticmethod
+    def over(results: Sequence[FrameResult]) -> "FrameAverages | None":
+        """Return the averages of some frames of a run; None where there are none."""
+        if not results:
+            return None
+        counts = np.array([(result.n_keypoints, result.n_static, result.n_inliers) for result in results])
+        return FrameAverages(len(results), *(float(mean) for mean in counts.mean(axis=0)))
+
+    @staticmethod
+    def over_runs(runs: Sequence["FrameAverages | None"]) -> "FrameAverages | None":
+        """Return the averages of several runs, the first one's frames; None where no run has any."""
+        known = [run for run in runs if run is not None]
+        if not known:
+            return None
+        means = np.mean([(run.keypoints, run.static, run.inliers) for run in known], axis=0)
+        return FrameAverages(known[0].n_frames, *(float(mean) for mean in means))
+
+
+@dataclass(frozen=True)
+class Trial:
+    """The figures of one run.
+
+    Attributes:
+        seed: Where its random choices started.
+        n_given, n_tracked: Frames given, and frames with a pose.
+        evaluation: Figures against the ground truth; None where there is none, or nothing to compare.
+        tracked: The tracked frames; None where there was none.
+        boxed: Those of them in which something may move; None where there was none.
+        first_boxed: Number of the first image in which something may move; None where there was none.
+        clock: What the stages cost.
+        kept: Keypoints judged static in each of the frames behind `boxed`, by the frame's number.
+    """
+
+    seed: int
+    n_given: int
+    n_tracked: int
+    evaluation: Evaluation | None
+    tracked: FrameAverages | None
+    boxed: FrameAverages | None
+    first_boxed: int | None
+    clock: StageClock
+    kept: Mapping[int, int] = field(default_factory=dict)
+
+    @property
+    def coverage(self) -> float:
+        """Share of the given frames that have a pose, 0 to 1."""
+        return self.n_tracked / self.n_given if self.n_given else 0.0
+
+    @property
+    def ate_m(self) -> float | None:
+        """ATE RMSE after SE(3) alignment, ground truth as given [m]."""
+        return None if self.evaluation is None else self.evaluation.as_given.ate_se3_m.rmse
+
+    @property
+    def rpe(self) -> tuple[float, float] | None:
+        """RPE RMSE over 1 s: translation [m/s] and rotation [deg/s]."""
+        found = None if self.evaluation is None else self.evaluation.for_rpe.rpe_1s
+        return None if found is None else (found.translation_m.rmse, found.rotation_deg.rmse)
+
+    def line(self) -> str:
+        """Return the run in one line."""
+        tracked = f"{percent(self.coverage)} of {self.n_given} frames tracked"
+        return f"seed {self.seed}: {tracked}" + ("" if self.ate_m is None else f", ATE {self.ate_m:.4f} m")
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the figures for a JSON file."""
+        return {
+            "seed": self.seed,
+            "n_given": self.n_given,
+            "n_tracked": self.n_tracked,
+            "coverage": self.coverage,
+            "tracked_frames": None if self.tracked is None else asdict(self.tracked),
+            "boxed_frames": None if self.boxed is None else asdict(self.boxed),
+            "evaluation": None if self.evaluation is None else asdict(self.evaluation),
+        }
+
+
+def poses_only(config: SlamConfig) -> SlamConfig:
+    """Return a config without its dense map, which changes no pose."""
+    return replace(config, dense=NoDenseMapConfig())
+
+
+def attempt(
+    dataset: Dataset,
+    config: SlamConfig,
+    seed: int,
+    progress: Progress = SILENT,
+    withheld: tuple[FrameRange, ...] = (),
+    observe: Callable[[Slam], RunObserver] | None = None,
+) -> Trial:
+    """Run a method over a sequence from a seed, and write nothing.
+
+    Args:
+        dataset: The sequence.
+        config: The method.
+        seed: Where its random choices start.
+        progress: Told of each frame.
+        withheld: Ranges of image numbers in which the method is told of nothing that may move; boxes that would be
+            carried on there are withheld too.
+        observe: Makes somebody who looks on, of the system that is run.
+
+    Raises:
+        KeyboardInterrupt: The user stopped it: half a run has no figures to compare.
+        StillroomError: Something that the run needs is wrong.
+    """
+    segmenter = segmenter_of(config, dataset.camera)
+    noting = NotingSegmenter(WithheldSegmenter(segmenter, withheld) if withheld else segmenter)
+    options = RunOptions(root=None, pictures=0, segmenter=noting, observe=observe)
+    outcome = run(dataset, replace(config, seed=seed), options, progress)
+    if outcome.interrupted:
+        raise KeyboardInterrupt
+    # A lost frame has no verdict worth counting: nothing was rejected there because nothing was tracked.
+    tracked = [result for result in outcome.slam.results if result.T_world_cam is not None]
+    boxed = [result for result in tracked if result.index in noting.occupied]
+    return Trial(
+        seed=seed,
+        n_given=outcome.n_given,
+        n_tracked=outcome.n_tracked,
+        evaluation=outcome.evaluation,
+        tracked=FrameAverages.over(tracked),
+        boxed=FrameAverages.over(boxed),
+        first_boxed=min(noting.occupied, default=None),
+        clock=outcome.clock,
+        kept={result.index: result.n_static for result in boxed},
+    )
+
+
+class NotingSegmenter:
+    """Passes another segmenter's answers on and notes in which images something may move."""
+
+    def __init__(self, inner: Segmenter) -> None:
+        self._inner = inner
+        self.occupied: set[int] = set()
+
+    def __call__(self, image: RgbdImage) -> Semantics:
+        """Return the other's answer."""
+        semantics = self._inner(image)
+        if semantics.has_any:
+            self.occupied.add(image.index)
+        return semantics

@@ -1,0 +1,199 @@
+"""What was believed of each place in the last image, so that a verdict goes with its cluster through time."""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numba import njit
+
+from stillroom.data.clouds import UNKNOWN, Clusters
+from stillroom.data.frame import Frame
+from stillroom.geometry import se3
+from stillroom.geometry.arrays import F32, F64, I16, I64, U8, Bool
+from stillroom.geometry.camera import Camera
+from stillroom.geometry.pixels import Shape, grown
+
+STEP_PX = 8
+"""Every so many-th pixel of a row and column is a sample."""
+STAYS, MOVES, MOVES_IN_BOX = 0, 1, 2
+"""What is said of all pixels of a cluster, as bits."""
+
+
+# Points on the clusters of an image: what stands for a cluster when its past is asked.
+
+
+@dataclass(frozen=True)
+class Samples:
+    """S points of an image that lie on its clusters.
+
+    Attributes:
+        cluster: Which cluster each lies on (S,).
+        points_cam_m: Where (S, 3) [m, camera frame].
+    """
+
+    cluster: I64
+    points_cam_m: F64
+
+    def in_world(self, T_cam_world: F64) -> F64:
+        """Return the points (S, 3) [m, world] under a pose (4, 4)."""
+        return se3.transform(se3.inverse(T_cam_world), self.points_cam_m)
+
+    def count(self, n_clusters: int, chosen: np.ndarray | None = None) -> F64:
+        """Count the samples of each cluster (K,), or of those chosen (S,)."""
+        which = self.cluster if chosen is None else self.cluster[chosen]
+        return np.bincount(which, minlength=n_clusters).astype(np.float64)
+
+
+class Sampler:
+    """Takes samples of images of one camera."""
+
+    def __init__(self) -> None:
+        """Rays are found at the first image."""
+        self._camera: Camera | None = None
+        self._rays = np.zeros((0, 0, 2))
+        self._last: tuple[Clusters, Samples] | None = None
+
+    def take(self, frame: Frame, clusters: Clusters) -> Samples:
+        """Return the samples of a frame; asked again for the same clusters, the same ones."""
+        if self._last is None or self._last[0] is not clusters:
+            self._last = (clusters, self._take(frame, clusters))
+        return self._last[1]
+
+    def _take(self, frame: Frame, clusters: Clusters) -> Samples:
+        height, width = clusters.labels.shape
+        if self._camera is not frame.camera or self._rays.shape[:2] != (-(-height // STEP_PX), -(-width // STEP_PX)):
+            self._camera, self._rays = frame.camera, _rays(frame.camera, height, width)
+        labels = clusters.labels[::STEP_PX, ::STEP_PX]
+        depth_m = frame.image.depth_m[::STEP_PX, ::STEP_PX].astype(np.float64)
+        on = (labels >= 0) & (depth_m > 0)
+        z = depth_m[on][:, None]
+        return Samples(labels[on].astype(np.int64), np.hstack((self._rays[on] * z, z)))
+
+
+def _rays(camera: Camera, height: int, width: int) -> F64:
+    """Return x/z and y/z (h, w, 2) of every `STEP_PX`-th pixel."""
+    column, row = np.meshgrid(np.arange(0, width, STEP_PX), np.arange(0, height, STEP_PX))
+    px = camera.undistort(np.stack((column.ravel(), row.ravel()), axis=1).astype(np.float32))
+    rays = camera.back_project(px, np.ones(len(px)))[:, :2]
+    return rays.reshape(*column.shape, 2)
+
+
+@dataclass(frozen=True)
+class _Image:
+    timestamp_s: float
+    T_cam_world: F64
+    belief: F32 = field(repr=False)
+    depth_m: F32 = field(repr=False)
+
+
+class Belief:
+    """The last image's beliefs, pixel by pixel, as log-odds of moving.
+
+    Clusters split and join from image to image, so none of them has an identity. A place has: a cluster of the present
+    image inherits the mean of what was believed where its points were seen in the last one, at about the same depth.
+    """
+
+    def __init__(self, fades_in_s: float, reach_m: float) -> None:
+        """Start without beliefs.
+
+        Args:
+            fades_in_s: Time in which a belief that nothing supports falls to 1/e [s].
+            reach_m: How far a point may have moved in depth since the last image [m].
+        """
+        self._fades_in_s, self._reach_m = fades_in_s, reach_m
+        self._last: _Image | None = None
+
+    def of(self, samples: Samples, n_clusters: int, T_cam_world: F64, camera: Camera, now_s: float) -> F64:
+        """Return what each cluster (K,) inherits; 0 for those that were not seen."""
+        last = self._last
+        if last is None or len(samples.cluster) == 0:
+            return np.zeros(n_clusters)
+        T_last_now = last.T_cam_world @ se3.inverse(T_cam_world)
+        points = se3.transform(T_last_now, samples.points_cam_m)
+        ahead = np.flatnonzero(points[:, 2] > 0.1)
+        cell = np.rint(camera.distort(camera.project(points[ahead])) / STEP_PX).astype(np.int64)
+        height, width = last.belief.shape
+        inside = (cell >= 0).all(axis=1) & (cell[:, 0] < width) & (cell[:, 1] < height)
+        ahead, column, row = ahead[inside], cell[inside, 0], cell[inside, 1]
+        near = np.abs(last.depth_m[row, column] - points[ahead, 2]) <= self._reach_m
+        total = np.bincount(samples.cluster[ahead[near]], last.belief[row, column][near], minlength=n_clusters)
+        fade = np.exp(-max(0.0, now_s - last.timestamp_s) / self._fades_in_s)
+        inherited: F64 = fade * total / np.maximum(samples.count(n_clusters), 1.0)
+        return inherited
+
+    def follow(self, T_new_old: F64) -> None:
+        """Move what is remembered by a motion (4, 4) of the world's coordinates."""
+        if self._last is not None:
+            self._last = replace(self._last, T_cam_world=self._last.T_cam_world @ se3.inverse(T_new_old))
+
+    def remember(self, frame: Frame, clusters: Clusters, belief: F64, T_cam_world: F64) -> None:
+        """Keep the beliefs (K,) of a frame's clusters for the next image."""
+        labels = clusters.labels[::STEP_PX, ::STEP_PX]
+        padded = np.append(belief, 0.0).astype(np.float32)  # planes and the unknown read the last entry
+        depth_m = frame.image.depth_m[::STEP_PX, ::STEP_PX].copy()
+        self._last = _Image(frame.timestamp_s, T_cam_world.copy(), padded[np.maximum(labels, -1)], depth_m)
+
+
+# From verdicts on clusters to the pixels that move.
+
+
+class MovingPixels:
+    """Marks the pixels that move; the same verdicts on the same clusters are marked once."""
+
+    def __init__(self, margin_px: int) -> None:
+        """Start with nothing marked.
+
+        Args:
+            margin_px: What lies so close to something moving, and on no plane or other cluster, moves too.
+        """
+        self._margin_px = margin_px
+        self._last: tuple[Clusters, U8, Bool] | None = None
+
+    def of(self, clusters: Clusters, belief: F64, in_boxes: Bool) -> Bool:
+        """Return the pixels (H, W) that move; not to be written to.
+
+        Those of moving clusters and of what stands in the boxes; of other clusters, what lies in a box and is not
+        believed static; and what is unknown beside all these.
+
+        Args:
+            clusters: The clusters.
+            belief: Their log-odds of moving (K,).
+            in_boxes: Pixels in boxes (H, W).
+        """
+        said = np.full(len(clusters), STAYS, dtype=np.uint8)
+        said[belief == 0] = MOVES_IN_BOX
+        said[(belief > 0) | (clusters.box >= 0)] = MOVES
+        return self.marked(clusters, said, in_boxes)
+
+    def marked(self, clusters: Clusters, said_of: U8, in_boxes: Bool) -> Bool:
+        """Return the pixels (H, W) of clusters of which that is said (K,); arguments and result otherwise as `of`."""
+        said = np.append(np.zeros(2, dtype=np.uint8), said_of)  # labels −2 and −1 read the first two
+        last = self._last
+        if last is not None and last[0] is clusters and np.array_equal(last[1], said):
+            return last[2]
+        moving = self._mark(clusters, said, in_boxes)
+        self._last = (clusters, said, moving)
+        return moving
+
+    def _mark(self, clusters: Clusters, said: U8, in_boxes: Bool) -> Bool:
+        labels = np.ascontiguousarray(clusters.labels)
+        moving = np.zeros(labels.shape, dtype=np.uint8)
+        if said.any():
+            look_up(labels.ravel(), said, in_boxes.ravel(), moving.ravel())
+            near = grown(moving.view(np.bool_), self._margin_px, Shape.SQUARE).view(np.uint8)
+            add_unknown(labels.ravel(), near.ravel(), moving.ravel())
+        return moving.view(np.bool_)
+
+
+@njit(nogil=True, cache=True)
+def look_up(labels: I16, said: U8, in_boxes: Bool, moving: U8) -> None:
+    """Set `moving` (P,) to 1 where what is said of the pixel's label (P,) says so, else to 0."""
+    for i in range(len(labels)):
+        word = said[labels[i] + 2]
+        moving[i] = (word & MOVES) | ((word >> 1) & np.uint8(in_boxes[i]))
+
+
+@njit(nogil=True, cache=True)
+def add_unknown(labels: I16, near: U8, moving: U8) -> None:
+    """Set `moving` (P,) to 1 where the pixel's label (P,) is unknown and something near moves."""
+    for i in range(len(labels)):
+        moving[i] |= near[i] & np.uint8(labels[i] == UNKNOWN)

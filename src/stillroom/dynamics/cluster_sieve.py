@@ -1,0 +1,172 @@
+"""OC-SLAM's combined mismatch rejection (2.5): boxes and clusters together say what moves."""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from stillroom.bounds import bounded
+from stillroom.data.clouds import Clusters
+from stillroom.data.frame import Frame
+from stillroom.data.motion import Motion, Stage
+from stillroom.data.question import Question
+from stillroom.dynamics.asking import ImageMemory
+from stillroom.dynamics.cluster_evidence import Belief, MovingPixels, Sampler, Samples
+from stillroom.dynamics.depth_history import DepthHistory, DepthHistoryConfig
+from stillroom.dynamics.epipolar import EpipolarConfig
+from stillroom.geometry import se3
+from stillroom.geometry.arrays import F64
+from stillroom.geometry.pixels import values_at
+from stillroom.protocols import Parts
+
+SAME_M, SAME_RAD = 0.01, 0.003
+"""Poses this close to each other see the same past: a centimetre at three metres."""
+
+
+@dataclass(frozen=True)
+class ClusterSieveConfig:
+    """The sieve of the whole `oc-slam` preset (OC-SLAM 2.5).
+
+    A cluster has pairs: its matches, which fail when they leave their epipolar line or their map point's place, and
+    its points, which fail when earlier depth images saw through where they are now. More than half failing speaks for
+    motion, less than half against it; what is said of a cluster goes with it through the next images as log-odds.
+
+    Differs from the paper: depth pairs stand beside the matches, because a cluster that has just appeared has no
+    matches; one image does not decide alone; and a box is a reason for suspicion, no proof.
+
+    Attributes:
+        boxes: The sieve for what lies in boxes.
+        history: The earlier depth images that clusters are held against. The oldest bounds how long a thing counts as
+            moving after it came to rest: less than in boxes, because it may be a chair.
+        gain: What one image can add to the log-odds when all pairs say the same.
+        suspicion: What a box adds to the log-odds of a cluster that it covers.
+        limit: Largest log-odds: how much a cluster's past can weigh.
+        min_known_share: Share of a cluster's points that earlier images must know of before they count.
+        min_pairs: Matches that a cluster needs before they count.
+        max_step_m, max_step_share: A match fails when it lies farther than this, or this share of its depth, from its
+            map point.
+        fades_in_s: Time in which unsupported log-odds fall to 1/e.
+        reach_m: How far a cluster may move in depth between two images.
+        margin_px: What lies this close to a moving cluster and on no plane or other cluster moves too.
+    """
+
+    boxes: EpipolarConfig = field(default_factory=EpipolarConfig)
+    history: DepthHistoryConfig = field(default_factory=lambda: DepthHistoryConfig(ages_s=(0.3, 0.6, 1.2, 2.4)))
+    gain: float = 1.5
+    suspicion: float = 0.5
+    limit: float = bounded(4.0, above=0)
+    min_known_share: float = 0.2
+    min_pairs: int = 5
+    max_step_m: float = 0.06
+    max_step_share: float = 0.03
+    fades_in_s: float = bounded(2.0, above=0)
+    reach_m: float = 0.3
+    margin_px: int = bounded(8, least=0)
+
+    def build(self, parts: Parts) -> "ClusterSieve":
+        """Return the sieve."""
+        return ClusterSieve(self, parts.seed)
+
+
+@dataclass(frozen=True)
+class _Past:
+    """What earlier images say of the clusters of one image, seen from a pose.
+
+    Attributes:
+        inherited: Log-odds that come with them (K,).
+        failing: Share of their points where it was empty before (K,), ½ where unknown.
+    """
+
+    inherited: F64
+    failing: F64
+
+
+class ClusterSieve:
+    """Sieve 2 of the whole `oc-slam`."""
+
+    def __init__(self, config: ClusterSieveConfig, seed: int = 0) -> None:
+        """Start without a past."""
+        self.config = config
+        self._boxes = config.boxes.build()
+        self._history = DepthHistory(config.history)
+        self._sampler = Sampler()
+        self._belief = Belief(config.fades_in_s, config.reach_m)
+        self._pixels = MovingPixels(config.margin_px)
+        self._past: ImageMemory[_Past] = ImageMemory(SAME_M, SAME_RAD)
+        self._believed: ImageMemory[tuple[Clusters, F64]] = ImageMemory()
+
+    def judge(self, question: Question) -> Motion:
+        """Judge boxes and clusters, and every keypoint by what it lies on."""
+        motion, known, frame = self._boxes.judge(question), question.known, question.frame
+        clusters = known.clusters
+        if clusters is None:
+            return motion
+        belief = self._believe(question, clusters)
+        self._believed.keep(frame.image, question.T_cam_world, (clusters, belief))
+        moving = self._pixels.of(clusters, belief, known.movable)
+        raw_px = frame.keypoints.raw_px
+        moves = values_at(moving, raw_px) & ~known.movable_at(raw_px)  # in boxes their own sieve knows better
+        moves |= np.append(belief > 0, (False, False))[clusters.labels_at(raw_px)]
+        return Motion(motion.is_static & ~moves, moving)
+
+    def remember(self, frame: Frame, T_cam_world: F64, keyframe: int) -> None:
+        """Take depth image and beliefs into the memories."""
+        believed = self._believed.of(frame.image)
+        if believed is not None:
+            self._belief.remember(frame, *believed, T_cam_world)
+            self._history.remember(frame, T_cam_world)
+        self._boxes.remember(frame, T_cam_world, keyframe)
+
+    def corrected(self, T_new_old: F64) -> None:
+        """Move the memories along."""
+        self._boxes.corrected(T_new_old)
+        self._history.follow(T_new_old)
+        self._belief.follow(T_new_old)
+        self._past.forget()
+
+    def _believe(self, question: Question, clusters: Clusters) -> F64:
+        """Return the log-odds (K,) that each cluster moves."""
+        config, past = self.config, self._past_of(question, clusters)
+        failing = 2.0 * past.failing - 1.0
+        failing += np.maximum(0.0, 2.0 * self._failing_pairs(question, clusters) - 1.0)
+        belief = past.inherited + config.gain * failing + config.suspicion * (clusters.box >= 0)
+        return np.asarray(np.clip(belief, -config.limit, config.limit))
+
+    def _past_of(self, question: Question, clusters: Clusters) -> "_Past":
+        """Return what earlier images say; asked again from nearly the same pose, what they said before."""
+        frame, T_cam_world = question.frame, question.T_cam_world
+        past = self._past.near(frame.image, T_cam_world)
+        if past is None:
+            samples = self._sampler.take(frame, clusters)
+            inherited = self._belief.of(samples, len(clusters), T_cam_world, frame.camera, frame.timestamp_s)
+            failing = self._failing_points(frame, clusters, samples, T_cam_world)
+            past = self._past.keep(frame.image, T_cam_world, _Past(inherited, failing))
+        return past
+
+    def _failing_points(self, frame: Frame, clusters: Clusters, samples: Samples, T_cam_world: F64) -> F64:
+        """Return the share (K,) of each cluster's points that lie where it was empty before; ½ where unknown."""
+        evidence = self._history.evidence(frame.camera, samples.in_world(T_cam_world), frame.timestamp_s)
+        fails = evidence.empty > 0
+        holds = ~fails & (evidence.agrees > 0)
+        n = len(clusters)
+        failing, holding = samples.count(n, fails), samples.count(n, holds)
+        judged = failing + holding >= np.maximum(4.0, self.config.min_known_share * samples.count(n))
+        return np.where(judged, failing / np.maximum(failing + holding, 1.0), 0.5)
+
+    def _failing_pairs(self, question: Question, clusters: Clusters) -> F64:
+        """Return the share (K,) of each cluster's matches that fail; ½ where there are too few."""
+        frame, matches = question.frame, question.matches
+        cluster = clusters.labels_at(frame.keypoints.raw_px[matches.keypoint]).astype(np.int64)
+        on = cluster >= 0
+        cluster, pairs = cluster[on], matches.keep(on)
+        if len(pairs) == 0:
+            return np.full(len(clusters), 0.5)
+        kp = frame.keypoints
+        depth_m = kp.depth_m[pairs.keypoint]
+        here_m = se3.transform(question.T_cam_world, question.world.points.position_m[pairs.point_id])
+        seen_m = frame.camera.back_project(kp.px[pairs.keypoint], depth_m)
+        step_m = np.maximum(self.config.max_step_m, self.config.max_step_share * depth_m)
+        fails = (depth_m > 0) & (np.linalg.norm(here_m - seen_m, axis=1) > step_m)
+        fails |= self._boxes.is_off_its_line(replace(question, stage=Stage.LOCAL_MAP), pairs)
+        n = np.bincount(cluster, minlength=len(clusters))
+        share = np.bincount(cluster, fails, minlength=len(clusters)) / np.maximum(n, 1)
+        return np.where(n >= self.config.min_pairs, share, 0.5)

@@ -1,0 +1,171 @@
+"""DynaSLAM's rule for what moves: what a network says may move, and what multi-view geometry says does."""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from stillroom.bounds import bounded, check
+from stillroom.data.frame import Frame
+from stillroom.data.motion import Motion, Stage
+from stillroom.data.question import Question
+from stillroom.data.semantics import Instance, Semantics, union_of
+from stillroom.dynamics.asking import ImageMemory
+from stillroom.dynamics.multiview.geometry import GeometryConfig
+from stillroom.dynamics.multiview.views import FARTHEST, NEAREST, KeyframesConfig
+from stillroom.geometry.arrays import F64, Bool
+from stillroom.geometry.pixels import Shape, grown, values_at
+from stillroom.protocols import Parts
+
+NEAR = 0.05, 0.02
+"""Metres and radians that a pose may move after low-cost tracking before geometry is asked again: less than it sees."""
+_VARIANCE_M2 = 0.001
+_DIFFERENT_M = 0.2
+UNION, GEOMETRY_FIRST = "union", "geometry-first"
+COMBINATIONS = (UNION, GEOMETRY_FIRST)
+
+
+@dataclass(frozen=True)
+class MultiViewConfig:
+    """The sieve of the `dynaslam` presets, with the numbers that work best on Kinect-like depth.
+
+    The paper's and its code's are `dynamics.kind = "multiview-paper"` and `"multiview-code"` (see `presets`).
+
+    Attributes:
+        network: Whether what may move counts as moving (N).
+        geometry: Whether multi-view geometry is asked (G).
+        combination: "union" of both masks (DynaSLAM's code), or "geometry-first" (its paper): where both found the
+            same thing, geometry's mask stands for it.
+        overlap_share: For "geometry-first": both found the same when geometry covers this share of a network's mask.
+        dilation_px: How far geometry's mask is grown, as an ellipse; keypoints on its border go with it. A network's
+            mask is grown where it is made (`semantics.regions.dilate_px`).
+        test: The geometry.
+    """
+
+    network: bool = True
+    geometry: bool = True
+    combination: str = bounded(UNION, one_of=COMBINATIONS)
+    overlap_share: float = bounded(0.3, least=0, most=1)
+    dilation_px: int = bounded(6, least=0)
+    test: GeometryConfig = field(default_factory=GeometryConfig)
+
+    def build(self, parts: Parts | None = None) -> "MultiViewSieve":
+        """Return the sieve."""
+        check(self)
+        return MultiViewSieve(self)
+
+
+class MultiViewSieve:
+    """Sieve 2 of `dynaslam`."""
+
+    def __init__(self, config: MultiViewConfig) -> None:
+        """Start without a past."""
+        self.config = config
+        self.geometry = config.test.build()
+        self._quick: ImageMemory[tuple[Bool | None]] = ImageMemory(*NEAR)
+        self._judged: ImageMemory[Bool] = ImageMemory()
+
+    def judge(self, question: Question) -> Motion:
+        """Judge every keypoint by the mask that it lies in.
+
+        Geometry is asked once an image, under the pose of low-cost tracking (DynaSLAM III.B); where there is none, at
+        the local-map stage, and the stages before are judged by the network alone: their matches are of points that
+        were found to be static in the last frame. Under a mere guess of the pose everything would seem to move.
+        """
+        found = self._mask(question) if self.config.geometry else None
+        moving = self._moving(found, question.known)
+        self._judged.keep(question.frame.image, question.T_cam_world, moving)
+        return Motion(~values_at(moving, question.frame.keypoints.raw_px), moving)
+
+    def remember(self, frame: Frame, T_cam_world: F64, keyframe: int) -> None:
+        """Note what moves in the frame; a keyframe's depth is kept."""
+        moving = self._judged.of(frame.image)
+        if moving is not None and self.config.geometry:
+            self.geometry.views.note(frame, T_cam_world, moving, keyframe)
+
+    def corrected(self, T_new_old: F64) -> None:
+        """Move the memory along."""
+        self.geometry.views.follow(T_new_old)
+        self._quick.forget()
+
+    def _mask(self, question: Question) -> Bool | None:
+        """Return geometry's mask (H, W): what low-cost tracking found, or this stage, where it may ask; else None."""
+        frame, T_cam_world = question.frame, question.T_cam_world
+        if question.stage is Stage.LOW_COST:
+            found = self.geometry.mask(frame, T_cam_world, question.world)
+            return self._quick.keep(frame.image, T_cam_world, (found,))[0]
+        quick = self._quick.near(frame.image, T_cam_world)
+        if quick is not None:
+            return quick[0]
+        return self.geometry.mask(frame, T_cam_world, question.world) if question.stage is Stage.LOCAL_MAP else None
+
+    def _moving(self, found: Bool | None, known: Semantics) -> Bool:
+        """Return what moves (H, W) by both accounts; an array of its own."""
+        moving = np.zeros((known.height, known.width), dtype=np.bool_)
+        if self.config.network and known.has_any:
+            if found is not None and self.config.combination == GEOMETRY_FIRST:
+                moving |= without_found(known, found, self.config.overlap_share)
+            else:
+                moving |= known.movable
+        if found is not None:
+            moving |= grown(found, self.config.dilation_px, Shape.ELLIPSE)
+        return moving
+
+
+def without_found(known: Semantics, found: Bool, share: float) -> Bool:
+    """Return what may move (H, W) without the objects of which geometry found (H, W) at least a share."""
+    kept = [thing for thing in known.objects if _both(thing, found) < share * thing.area_px]
+    return union_of(kept, known.height, known.width)
+
+
+def _both(thing: Instance, found: Bool) -> int:
+    """Return how many pixels of an object geometry found."""
+    return int(np.count_nonzero(found[thing.window] & thing.pixels))
+
+
+# DynaSLAM's own numbers: the paper's, and those of its code (docs/reference.md#dynaslam).
+
+
+def _paper() -> GeometryConfig:
+    return GeometryConfig(
+        keyframes=KeyframesConfig(least=5, choice=NEAREST, grid_px=0, apart_s=0.0),
+        tau_m=0.4,
+        tau_per_m=0.0,
+        window_px=20,
+        patch_px=20,
+        patch_std_m=_VARIANCE_M2**0.5,
+        patch_std_per_m=0.0,
+        seen_through=False,
+        growing_stride=1,
+        mean_m=_DIFFERENT_M,
+        mean_per_m=0.0,
+        step_m=100.0,
+        step_per_m=0.0,
+        min_area_px=0,
+    )
+
+
+def _code() -> GeometryConfig:
+    paper = _paper()
+    keyframes = replace(paper.keyframes, choice=FARTHEST)
+    return replace(paper, keyframes=keyframes, parallax_of_translations=True, tau_m=0.6)
+
+
+@dataclass(frozen=True)
+class PaperMultiViewConfig(MultiViewConfig):
+    """The paper's numbers: the five keyframes nearest by distance and rotation, 30°, 0.4 m.
+
+    Where the paper gives none (variance, region growing, dilation), its code's.
+    """
+
+    combination: str = bounded(GEOMETRY_FIRST, one_of=COMBINATIONS)
+    dilation_px: int = bounded(15, least=0)
+    test: GeometryConfig = field(default_factory=_paper)
+
+
+@dataclass(frozen=True)
+class CodeMultiViewConfig(MultiViewConfig):
+    """The code's numbers: the five farthest of the last twenty keyframes, 30° from translations, 0.6 m, union."""
+
+    combination: str = bounded(UNION, one_of=COMBINATIONS)
+    dilation_px: int = bounded(15, least=0)
+    test: GeometryConfig = field(default_factory=_code)

@@ -1,0 +1,206 @@
+"""The rule for what no class calls movable: an object whose segment moves against the scene is dynamic."""
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from stillroom.bounds import bounded, check
+from stillroom.data.clouds import Clusters
+from stillroom.data.frame import Frame
+from stillroom.data.motion import Motion, Stage
+from stillroom.data.question import Question
+from stillroom.dynamics.asking import ImageMemory
+from stillroom.dynamics.cluster_evidence import MOVES, STAYS, Belief, MovingPixels, Sampler
+from stillroom.dynamics.depth_history import STRIDE, SmallView, ask
+from stillroom.dynamics.homography.past import EarlierImage, Past, view_of
+from stillroom.dynamics.homography.point_motion import DYNAMIC, STATIC, UNKNOWN, PointTest, PointTestConfig, View
+from stillroom.geometry import homography, se3
+from stillroom.geometry.arrays import F64, I64, Bool
+from stillroom.geometry.pixels import values_at
+from stillroom.protocols import Parts
+
+NEAR = 0.02, 0.01
+"""Metres and radians that a pose may move after low-cost tracking before segments are tested again."""
+
+
+@dataclass(frozen=True)
+class MovedSegmentsConfig:
+    """When a segment of an image moves against the scene (PSPNet-SLAM III.A, Figure 2).
+
+    The segments are those of the depth cloud (`clusters.kind = "depth"`), which have no class, with what the network
+    calls a chair, a monitor or a bottle taken apart from what it touches. Points spread over a segment are looked for
+    in an earlier image, each where it would have been if it stood still. What more than a share of them says is a vote
+    for or against motion; votes go with the place through the next images, as log-odds.
+
+    Differs from the paper, which gives no rule for how far is moved: the earlier image is not the very last one, to
+    which little has moved; and one image does not decide alone.
+
+    Attributes:
+        earlier_s: Age of the image that the present one is compared with [s].
+        max_points: Points of a segment that are tested, at most; keypoints come on top.
+        min_points: Fewer that say anything cast no vote.
+        share: A segment moves when more than this share of its points does.
+        plain: How much a point counts for standing still that has nothing in the image to be known by, and where depth
+            was the same before; against 1 of one that is recognised. Part of what slides within its own outline looks
+            so, too.
+        tolerance_m, tolerance_share: Depth is the same within the larger of the first and this share of it.
+        max_turn_rad_s: Nothing is found to move while the camera turns faster. Depth and colour are some 30 ms apart,
+            which then displaces one against the other by more than many a segment is wide.
+        gain: What an image adds to the log-odds when all points say the same.
+        limit: Largest log-odds: how much a segment's past can weigh.
+        fades_in_s: Time in which unsupported log-odds fall to 1/e.
+        reach_m: How far a segment may move in depth between two images.
+        margin_px: What lies this close to a moving segment and on no plane or other segment moves too.
+        test: When a point moves.
+    """
+
+    earlier_s: float = bounded(0.2, least=0)
+    max_points: int = bounded(24, least=1)
+    min_points: int = bounded(6, least=1)
+    share: float = bounded(0.5, above=0, below=1)
+    plain: float = 0.25
+    tolerance_m: float = 0.05
+    tolerance_share: float = 0.02
+    max_turn_rad_s: float = 0.5
+    gain: float = 1.5
+    limit: float = 2.5
+    fades_in_s: float = bounded(1.0, above=0)
+    reach_m: float = 0.3
+    margin_px: int = bounded(8, least=0)
+    test: PointTestConfig = field(default_factory=PointTestConfig)
+
+    def build(self, parts: Parts | None = None) -> "MovedSegments":
+        """Return the sieve; it makes no random choice."""
+        check(self)
+        return MovedSegments(self)
+
+
+@dataclass(frozen=True)
+class _Finding:
+    """What was found of an image from a pose: its segments, what is read of it, and the segments' log-odds (K,)."""
+
+    clusters: Clusters
+    view: View = field(repr=False)
+    belief: F64
+
+
+class MovedSegments:
+    """Sieve 2 by segments. Asks once an image, under the first pose that was found and not guessed."""
+
+    def __init__(self, config: MovedSegmentsConfig) -> None:
+        """Start without a past."""
+        self.config = config
+        self._past = Past(config.earlier_s)
+        self._sampler = Sampler()
+        self._belief = Belief(config.fades_in_s, config.reach_m)
+        self._pixels = MovingPixels(config.margin_px)
+        self._finding: ImageMemory[_Finding] = ImageMemory(*NEAR)
+
+    def judge(self, question: Question) -> Motion:
+        """Judge that what may move does, and every segment that is found to."""
+        moving, clusters = question.known.movable, question.known.clusters
+        finding = None if clusters is None else self._find(question, clusters)
+        if finding is not None:
+            said = np.where(finding.belief > 0, MOVES, STAYS).astype(np.uint8)
+            moving = moving | self._pixels.marked(finding.clusters, said, moving)
+        return Motion(~values_at(moving, question.frame.keypoints.raw_px), moving)
+
+    def remember(self, frame: Frame, T_cam_world: F64, keyframe: int) -> None:
+        """Take the image and what is believed of its segments into the memories."""
+        finding = self._finding.of(frame.image)
+        if finding is not None:
+            self._belief.remember(frame, finding.clusters, finding.belief, T_cam_world)
+            self._past.remember(frame, finding.view, T_cam_world)
+
+    def corrected(self, T_new_old: F64) -> None:
+        """Move the memories along."""
+        self._past.follow(T_new_old)
+        self._belief.follow(T_new_old)
+        self._finding.forget()
+
+    def _find(self, question: Question, clusters: Clusters) -> _Finding | None:
+        """Return what is found of a frame: what was found before, from nearly here; None under a guess of the pose."""
+        frame, T_cam_world = question.frame, question.T_cam_world
+        known = self._finding.near(frame.image, T_cam_world)
+        if known is not None or question.stage not in (Stage.LOW_COST, Stage.LOCAL_MAP):
+            return known
+        before = self._finding.of(frame.image)
+        view = view_of(frame.image) if before is None else before.view
+        found = _Finding(clusters, view, self._log_odds(frame, clusters, view, T_cam_world))
+        return self._finding.keep(frame.image, T_cam_world, found)
+
+    def _log_odds(self, frame: Frame, clusters: Clusters, view: View, T_cam_world: F64) -> F64:
+        """Return the log-odds (K,) that each segment moves."""
+        config, samples = self.config, self._sampler.take(frame, clusters)
+        belief = self._belief.of(samples, len(clusters), T_cam_world, frame.camera, frame.timestamp_s)
+        earlier = self._past.before(frame)
+        if earlier:
+            votes = self._votes(frame, clusters, view, earlier[0], T_cam_world)
+            if self._past.turn_rad_s(frame, T_cam_world) > config.max_turn_rad_s:
+                votes = np.minimum(votes, 0.0)
+            belief = belief + config.gain * votes
+        return np.asarray(np.clip(belief, -config.limit, config.limit))
+
+    def _votes(self, frame: Frame, clusters: Clusters, view: View, earlier: EarlierImage, T_cam_world: F64) -> F64:
+        """Return what an earlier image says of each segment (K,): −1 static to 1 moving, 0 where it cannot tell."""
+        config, camera = self.config, frame.camera
+        points = self._points_on(frame, clusters)
+        T_then_now = earlier.T_cam_world @ se3.inverse(T_cam_world)
+        H_then_now = homography.of_rotation(T_then_now, camera.K)
+        test = PointTest(config.test, camera, view, earlier.view, *points[1:], T_then_now, H_then_now)
+        verdict = test(np.arange(len(points.segment), dtype=np.int64))
+        n = len(clusters)
+        moving = np.bincount(points.segment[verdict == DYNAMIC], minlength=n)
+        still = (verdict == STATIC) + config.plain * (
+            (verdict == UNKNOWN) & self._was_there(points, frame, earlier, T_cam_world)
+        )
+        judged = moving + np.bincount(points.segment, still, minlength=n)
+        share = moving / np.maximum(judged, 1)
+        # From −1 where no point moves, over 0 where as many do as are asked for, to 1 where all do.
+        vote = np.where(share > config.share, (share - config.share) / (1.0 - config.share), share / config.share - 1.0)
+        return np.where(judged >= config.min_points, vote, 0.0)
+
+    def _was_there(self, points: "_Points", frame: Frame, earlier: EarlierImage, T_cam_world: F64) -> Bool:
+        """Return for points (P,) whether the earlier image has a surface where they are now."""
+        camera, config = frame.camera, self.config
+        agrees, empty = np.zeros((2, len(points.segment)), dtype=np.int64)
+        points_world_m = se3.transform(se3.inverse(T_cam_world), camera.back_project(points.px, points.depth_m))
+        small_m = np.ascontiguousarray(earlier.view.depth_m[::STRIDE, ::STRIDE])
+        view = SmallView(small_m, earlier.T_cam_world, camera.lens)
+        ask(view, points_world_m, config.tolerance_m, config.tolerance_share, agrees, empty)
+        return np.asarray(agrees > 0)
+
+    def _points_on(self, frame: Frame, clusters: Clusters) -> "_Points":
+        """Return keypoints on segments, and points spread over them."""
+        kp, camera, samples = frame.keypoints, frame.camera, self._sampler.take(frame, clusters)
+        label = clusters.labels_at(kp.raw_px).astype(np.int64)
+        on = (label >= 0) & (kp.depth_m > 0)
+        chosen = spread(samples.cluster, self.config.max_points)
+        points_cam_m = samples.points_cam_m[chosen]
+        px = camera.project(points_cam_m)
+        return _Points(
+            np.concatenate((label[on], samples.cluster[chosen])),
+            np.concatenate((kp.raw_px[on], camera.distort(px))).astype(np.float64),
+            np.concatenate((kp.px[on], px)).astype(np.float64),
+            np.concatenate((kp.depth_m[on], points_cam_m[:, 2])).astype(np.float64),
+        )
+
+
+class _Points(NamedTuple):
+    """P points on segments: which (P,), where as taken and undistorted (P, 2) [px], and how deep (P,) [m]."""
+
+    segment: I64
+    raw_px: F64
+    px: F64
+    depth_m: F64
+
+
+def spread(group: I64, most: int) -> I64:
+    """Return up to so many of each group's members (N,), evenly over their order, in rising order."""
+    order = np.argsort(group, kind="stable")
+    counts = np.bincount(group)
+    first = np.cumsum(counts) - counts
+    rank = np.arange(len(group)) - first[group[order]]
+    step = -(-counts[group[order]] // most)
+    return np.sort(order[rank % np.maximum(step, 1) == 0])

@@ -1,1 +1,0 @@
-"""Telling that a place has been seen before: by looks, by staying power, by geometry."""

@@ -1,0 +1,196 @@
+"""Is it really the same place? Matched points decide, by a rigid motion that lays them upon each other."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stillroom.data.map import Map
+from stillroom.features.matching import consistent_rotation
+from stillroom.features.places.place_index import PlaceIndex
+from stillroom.features.places.vocabulary import match_by_branch
+from stillroom.features.projection import Window, keyframe_targets, projected, search_around
+from stillroom.geometry import se3
+from stillroom.geometry.arrays import F64, I32, I64, Bool, Floats
+from stillroom.geometry.camera import Camera
+from stillroom.geometry.rigid import fit_rigid_robustly
+from stillroom.optimize import observations
+from stillroom.optimize.pose import PoseOptimizer
+from stillroom.protocols import Parts
+
+_CHI2_RANSAC = 9.21
+"""99 % at two degrees of freedom: what a matched pair may be off in either image (ORB-SLAM2)."""
+
+
+@dataclass(frozen=True)
+class VerificationConfig:
+    """What makes a candidate a loop (ORB-SLAM2's numbers; docs/reference.md#orb-slam2-loops).
+
+    Attributes:
+        min_matches: Matches of points by their descriptors.
+        n_samples: Triples that RANSAC tries.
+        min_inliers: Pairs that agree with one rigid motion, before and after the search that it guides.
+        window_px: Where that search looks, on the finest level.
+        min_total: Points of the place and its surroundings that the keyframe must see in the end.
+        min_share: Share of those it should see that it must see.
+    """
+
+    min_matches: int = 20
+    n_samples: int = 300
+    min_inliers: int = 20
+    window_px: float = 7.5
+    min_total: int = 40
+    min_share: float = 0.1
+
+    def build(self, parts: Parts) -> "Verifier":
+        """Return the verifier; its random choices start from the seed."""
+        return Verifier(self, parts.camera, parts.seed)
+
+
+@dataclass(frozen=True)
+class Loop:
+    """A keyframe that shows a place known already.
+
+    Attributes:
+        keyframe: The keyframe.
+        candidate: The keyframe that showed the place before.
+        T_world_cam: Pose (4, 4) of the keyframe by what the candidate's surroundings say.
+        rows: Rows of the keypoint table (M,), all of the keyframe.
+        point_ids: The points of the place that they see (M,).
+        n_visible: How many of the place's points should be seen.
+    """
+
+    keyframe: int
+    candidate: int
+    T_world_cam: F64
+    rows: I64
+    point_ids: I32
+    n_visible: int
+
+
+@dataclass(frozen=True)
+class _Pairs:
+    """Rows of the keyframe (M,) and points of the place (M,) that they see."""
+
+    rows: I64
+    point_ids: I32
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def keep(self, chosen: Bool) -> "_Pairs":
+        return _Pairs(self.rows[chosen], self.point_ids[chosen])
+
+    def __add__(self, other: "_Pairs") -> "_Pairs":
+        return _Pairs(np.concatenate((self.rows, other.rows)), np.concatenate((self.point_ids, other.point_ids)))
+
+
+class Verifier:
+    """Checks candidates for a loop, one by one."""
+
+    def __init__(self, config: VerificationConfig, camera: Camera, seed: int) -> None:
+        self.config, self.camera, self.seed = config, camera, seed
+        self._optimize = PoseOptimizer()
+
+    def verify(self, keyframe: int, candidate: int, index: PlaceIndex, world: Map) -> Loop | None:
+        """Return the loop that a keyframe closes with a candidate, or None where they do not show the same place.
+
+        Args:
+            keyframe: The new keyframe; it is in the index.
+            candidate: A keyframe that looks like it; it is in the index too.
+            index: Says which keypoints are worth comparing.
+            world: The map.
+        """
+        config = self.config
+        pairs = self._by_descriptors(keyframe, candidate, index, world)
+        if len(pairs) < config.min_matches:
+            return None
+        T_cam_world = self._by_ransac(pairs, keyframe, candidate, world)
+        if T_cam_world is None:
+            return None
+        own = world.points_of(candidate)
+        fix = self._search_and_fit(own[own >= 0], T_cam_world, keyframe, world)
+        if fix is None or len(fix[1]) < config.min_inliers:
+            return None
+        group = [candidate, *world.covisibility.neighbours(candidate)]
+        surroundings = world.points_seen_by(np.array(group))
+        fix = self._search_and_fit(surroundings, fix[0], keyframe, world)
+        if fix is None or len(fix[1]) < config.min_total:
+            return None
+        n_visible = int(projected(surroundings, fix[0], self.camera, world).visible.sum())
+        if len(fix[1]) < config.min_share * n_visible:
+            return None
+        T_world_cam = se3.orthonormalize(se3.inverse(fix[0]))
+        return Loop(keyframe, candidate, T_world_cam, fix[1].rows, fix[1].point_ids, n_visible)
+
+    def _by_descriptors(self, keyframe: int, candidate: int, index: PlaceIndex, world: Map) -> _Pairs:
+        """Match the points of two keyframes through the direct index."""
+        here, there = world.rows(keyframe), world.rows(candidate)
+        table = world.keypoints
+        nodes_here = np.where(table.point[here] >= 0, index.nodes(keyframe), -1).astype(np.int32)
+        nodes_there = np.where(table.point[there] >= 0, index.nodes(candidate), -1).astype(np.int32)
+        mine, theirs = match_by_branch(table.descriptors[here], nodes_here, table.descriptors[there], nodes_there)
+        steady = consistent_rotation(table.angle_rad[here][mine], table.angle_rad[there][theirs])
+        mine, theirs = mine[steady], theirs[steady]
+        # What both see already as one point tells nothing new, and a point is wanted once.
+        ids = table.point[there][theirs]
+        other = table.point[here][mine] != ids
+        return _Pairs(here.start + mine.astype(np.int64), ids).keep(other)
+
+    def _by_ransac(self, pairs: _Pairs, keyframe: int, candidate: int, world: Map) -> F64 | None:
+        """Return `T_cam_world` (4, 4) of the keyframe by the rigid motion that most pairs agree with."""
+        table, points, poses = world.keypoints, world.points, world.keyframes.T_world_cam
+        T_here_world, T_there_world = se3.inverse(poses[keyframe]), se3.inverse(poses[candidate])
+        here_m = se3.transform(T_here_world, points.position_m[table.point[pairs.rows]])
+        there_m = se3.transform(T_there_world, points.position_m[pairs.point_ids])
+        n_levels, factor = world.scales.count, world.scales.factors
+        # The keyframe's keypoint says how exact either side is: the same corner is seen on about the same level.
+        limit2 = _CHI2_RANSAC * factor[np.minimum(table.octave[pairs.rows], n_levels - 1)] ** 2
+        seen_here, seen_there = table.px[pairs.rows], self._pixels(there_m)
+
+        def agrees(T_here_there: F64) -> Bool:
+            forth = _errors2(T_here_there, there_m, seen_here, self.camera)
+            back = _errors2(se3.inverse(T_here_there), here_m, seen_there, self.camera)
+            return np.asarray((forth < limit2) & (back < limit2))
+
+        rng = np.random.default_rng((self.seed, keyframe, candidate))
+        fit = fit_rigid_robustly(there_m, here_m, agrees, rng, self.config.n_samples)
+        if fit is None or fit.n_inliers < self.config.min_inliers:
+            return None
+        T_cam_world: F64 = fit.T_target_source @ T_there_world
+        return T_cam_world
+
+    def _pixels(self, points_cam_m: F64) -> F64:
+        safe = np.column_stack((points_cam_m[:, :2], np.maximum(points_cam_m[:, 2], 1e-3)))
+        return self.camera.project(safe)
+
+    def _search_and_fit(self, ids: I32, T_cam_world: F64, keyframe: int, world: Map) -> tuple[F64, _Pairs] | None:
+        """Look for points (P,) in the keyframe around where a pose wants them, and fit the pose to what was found."""
+        pairs = self._search(ids, T_cam_world, keyframe, world)
+        if len(pairs) < self.config.min_inliers:
+            return None
+        table = world.keypoints
+        right_px, octave = table.right_px[pairs.rows], table.octave[pairs.rows]
+        estimate = self._optimize(
+            T_cam_world,
+            world.points.position_m[pairs.point_ids],
+            observations.observed_px(table.px[pairs.rows], right_px),
+            observations.weights(octave, right_px, world.scales.inverse_variances),
+            self.camera,
+        )
+        return estimate.T_cam_world, pairs.keep(estimate.is_inlier)
+
+    def _search(self, ids: I32, T_cam_world: F64, keyframe: int, world: Map) -> _Pairs:
+        window, targets = Window(self.config.window_px), keyframe_targets(keyframe, world)
+        found = search_around(ids, T_cam_world, self.camera, world, targets, window)
+        return _Pairs(world.rows(keyframe).start + found.target.astype(np.int64), found.point_ids)
+
+
+def _errors2(T: F64, points_m: F64, seen_px: Floats, camera: Camera) -> F64:
+    """Return how far off (S, N) [px²] points (N, 3), moved by (S, 4, 4), are from where they are seen."""
+    moved = points_m @ np.swapaxes(T[:, :3, :3], 1, 2) + T[:, None, :3, 3]
+    z = moved[..., 2]
+    ahead = z > 0.05
+    safe = np.where(ahead, z, 1.0)
+    du = camera.fx * moved[..., 0] / safe + camera.cx - seen_px[:, 0]
+    dv = camera.fy * moved[..., 1] / safe + camera.cy - seen_px[:, 1]
+    return np.where(ahead, du * du + dv * dv, np.inf)

@@ -1,1 +1,0 @@
-"""A run that leaves the sequence without what moves."""

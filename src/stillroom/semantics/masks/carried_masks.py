@@ -1,0 +1,144 @@
+"""A network that is late: it sees every n-th image, and its answer becomes known some images later."""
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from stillroom.bounds import bounded
+from stillroom.data.image import RgbdImage
+from stillroom.semantics.masks.refine import RefineConfig, refined
+from stillroom.semantics.masks.segments import HalfImage, Segments
+
+See = Callable[[RgbdImage, HalfImage], Segments]
+
+
+# Carry a mask from the image in which it is known to a later one: by dense flow, gated by depth.
+#
+# NGD-SLAM's mask propagation answers the same question (docs/reference.md#ngd-slam): erode, follow one corner in each
+# cell of 15 px by flow, take what is within ±0.3 m of their median depth. Differs from it: dense inverse-search flow
+# (Kroeger et al., ECCV 2016) from image to image, with the border mended by depth at each step. It knows no corners, so
+# that plain clothes do; and the mask keeps its shape, also where people stand one behind another.
+
+
+@dataclass(frozen=True)
+class MaskCarryConfig:
+    """How masks are carried to the present.
+
+    Attributes:
+        depth_step_m: What changes its depth by more than this from an image to the next has become something else [m].
+    """
+
+    depth_step_m: float = bounded(0.30, above=0)
+
+
+def carried(segments: Segments, earlier: HalfImage, now: HalfImage, config: MaskCarryConfig) -> Segments:
+    """Return where what may move is now.
+
+    Args:
+        segments: Where it was in an earlier image.
+        earlier: That image.
+        now: The next image, of the same size.
+        config: How far depth may change between them.
+    """
+    if not segments.has_any and segments.named is None:
+        return segments
+    flow_px = now.flow_to(earlier)
+    rows, columns = np.indices(now.shape, dtype=np.float32)
+    x, y = columns + flow_px[..., 0], rows + flow_px[..., 1]
+    label = cv2.remap(segments.label, x, y, cv2.INTER_NEAREST, borderValue=0)
+    likely = cv2.remap(segments.probability, x, y, cv2.INTER_LINEAR, borderValue=0)
+    before_m = cv2.remap(earlier.depth_m, x, y, cv2.INTER_NEAREST, borderValue=0)
+    known = (before_m > 0) & (now.depth_m > 0)
+    other = known & (np.abs(now.depth_m - before_m) > config.depth_step_m)
+    label[other] = 0
+    named = segments.named
+    if named is not None:
+        named = np.asarray(cv2.remap(named, x, y, cv2.INTER_NEAREST, borderValue=0), dtype=np.uint8)
+        named[other] = 0
+    return Segments(np.asarray(label, dtype=np.uint8), np.asarray(likely, dtype=np.float32), named)
+
+
+@dataclass(frozen=True)
+class Known:
+    """What is known of an image.
+
+    Attributes:
+        segments: What may move in it.
+        age: How many images ago the network saw it; 0 where it saw this one.
+    """
+
+    segments: Segments
+    age: int
+
+
+@dataclass(frozen=True)
+class _Answer:
+    seen_at: int
+    segments: Segments
+
+
+NOTHING_YET = Known(Segments(np.zeros((0, 0), np.uint8), np.zeros((0, 0), np.float32)), 0)
+
+
+class LateMasks:
+    """Asks a network now and then, waits for its answers, and carries what is known to the present."""
+
+    def __init__(self, see: See, every: int, latency_frames: int, carry: MaskCarryConfig, refine: RefineConfig) -> None:
+        """Start without a past.
+
+        Args:
+            see: The network: what may move in an image.
+            every: It sees every n-th image.
+            latency_frames: How many images later its answer is known. The first is waited for: what a map starts with
+                must not be people.
+            carry: How masks are carried.
+            refine: How their borders are mended, there and on each step to the present.
+        """
+        self._see = see
+        self._every = every
+        self._latency = latency_frames
+        self._carry = carry
+        self._refine = refine
+        self._recent: deque[HalfImage] = deque(maxlen=latency_frames + 2)
+        self._waiting: deque[_Answer] = deque()
+        self._known = NOTHING_YET
+        self._count = -1
+
+    def __call__(self, image: RgbdImage) -> Known:
+        """Return what is known of an image; images come in order, and a step back starts afresh."""
+        view = HalfImage.of(image)
+        if self._recent and (view.index <= self._recent[-1].index or view.shape != self._recent[-1].shape):
+            self._forget()
+        self._recent.append(view)
+        self._count += 1
+        now = self._count
+        if now % self._every == 0:
+            self._waiting.append(_Answer(now, refined(self._see(image, view), view.depth_m, self._refine)))
+        arrived = None
+        while self._waiting and (now == 0 or self._waiting[0].seen_at + self._latency <= now):
+            arrived = self._waiting.popleft()
+        if arrived is not None:
+            self._known = Known(self._to_the_present(arrived), now - arrived.seen_at)
+        else:
+            self._known = Known(self._one_step(self._known.segments, -1), self._known.age + 1)
+        return self._known
+
+    def _forget(self) -> None:
+        self._recent.clear()
+        self._waiting.clear()
+        self._known = NOTHING_YET
+        self._count = -1
+
+    def _to_the_present(self, answer: _Answer) -> Segments:
+        segments = answer.segments
+        for back in range(self._count - answer.seen_at, 0, -1):
+            segments = self._one_step(segments, -back)
+        return segments
+
+    def _one_step(self, segments: Segments, place: int) -> Segments:
+        """Carry segments to one of the recent images from the one before it."""
+        earlier, now = self._recent[place - 1], self._recent[place]
+        return refined(carried(segments, earlier, now, self._carry), now.depth_m, self._refine)

@@ -19,9 +19,9 @@ import numpy as np
 
 from stillroom.data.image import RgbdImage
 from stillroom.datasets.open import open_dataset
+from stillroom.semantics.masks.mask_segments import HalfImage, MaskSegments
 from stillroom.semantics.masks.pspnet import pspnet
 from stillroom.semantics.masks.refine import RefineConfig, refined
-from stillroom.semantics.masks.segments import HalfImage, Segments
 from stillroom.viz.marks import draw_outline, enlarged, tint
 from stillroom_train.pspnet.evaluate import called_person, overlap
 from stillroom_train.pspnet.pictures.gather import PERSON, held_out
@@ -40,7 +40,7 @@ def reference(teacher: Teacher, image: RgbdImage) -> np.ndarray:
     view = HalfImage.of(image)
     rows, columns = view.shape
     likely = cv2.resize(teacher(image.rgb)[..., PERSON].astype(np.float32), (columns, rows))
-    mended = refined(Segments((likely >= 0.5).astype(np.uint8), likely), view.depth_m, RefineConfig())
+    mended = refined(MaskSegments((likely >= 0.5).astype(np.uint8), likely), view.depth_m, RefineConfig())
     return mended.mask
 
 
@@ -49,7 +49,7 @@ def masks_at_half_size(network, image: RgbdImage) -> tuple[np.ndarray, np.ndarra
     view = HalfImage.of(image)
     rows, columns = view.shape
     likely = network.probabilities(image.rgb, columns, rows)[0]
-    alone = Segments((likely >= 0.5).astype(np.uint8), likely)
+    alone = MaskSegments((likely >= 0.5).astype(np.uint8), likely)
     return alone.mask, refined(alone, view.depth_m, RefineConfig()).mask
 
 

@@ -27,7 +27,7 @@ HEADERS = {"User-Agent": "stillroom", "Accept-Encoding": "identity"}
 Check = Callable[[Path], bool]
 
 
-class Progress(Protocol):
+class DownloadProgress(Protocol):
     """Told how far a file has come; called often, so it should be quick."""
 
     def __call__(self, name: str, done_bytes: int, total_bytes: int | None) -> None:
@@ -41,7 +41,7 @@ def no_progress(name: str, done_bytes: int, total_bytes: int | None) -> None:
 def fetch(
     address: str,
     destination: Path,
-    progress: Progress = no_progress,
+    progress: DownloadProgress = no_progress,
     sha256: str | None = None,
     is_plausible: Check | None = None,
 ) -> Path:
@@ -84,7 +84,7 @@ def sha256_of(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def _receive(address: str, part: Path, name: str, progress: Progress) -> None:
+def _receive(address: str, part: Path, name: str, progress: DownloadProgress) -> None:
     have = part.stat().st_size if part.exists() else 0
     request = urllib.request.Request(address, headers=HEADERS)
     if have:
@@ -117,7 +117,7 @@ def _receive(address: str, part: Path, name: str, progress: Progress) -> None:
         raise DownloadError(f"{address}: {_kept(part, total)}; run it again to go on from there")
 
 
-def _after_the_end(address: str, part: Path, name: str, progress: Progress, content_range: str | None) -> None:
+def _after_the_end(address: str, part: Path, name: str, progress: DownloadProgress, content_range: str | None) -> None:
     """Deal with a part that reaches the file's end: it is whole, or it is of another file and starts again."""
     have = part.stat().st_size
     if content_range == f"bytes */{have}":
@@ -176,7 +176,9 @@ BONN_NAME = re.compile(r"(?:rgbd_bonn_)?(\w+)", re.ASCII)
 KNOWN = "tum/<name> (tum/freiburg1_rpy), bonn/<name> (bonn/crowd), pspnet-r50"
 
 
-def download(target: str, folder: Path, progress: Progress = no_progress, addresses: Addresses = OFFICIAL) -> Path:
+def download(
+    target: str, folder: Path, progress: DownloadProgress = no_progress, addresses: Addresses = OFFICIAL
+) -> Path:
     """Fetch a data set or a network, and return where it lies.
 
     Args:
@@ -211,7 +213,7 @@ def _is_pspnet_r50(path: Path) -> bool:
     return md5 == PSPNET_R50_MD5 and sha256_of(path).startswith(PSPNET_R50_SHA256_BEGINS)
 
 
-def _download_bonn(sequence: str, folder: Path, progress: Progress, addresses: Addresses) -> Path:
+def _download_bonn(sequence: str, folder: Path, progress: DownloadProgress, addresses: Addresses) -> Path:
     destination = folder / sequence
     if destination.is_dir():
         return destination

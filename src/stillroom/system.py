@@ -37,7 +37,7 @@ from stillroom.storage.keeper import NoKeeper
 from stillroom.tracking.keyframe_policy import KeyframePolicy
 from stillroom.tracking.relocalizer import Relocalizer
 from stillroom.tracking.tracker import Tracker
-from stillroom.viz.nothing import Nothing
+from stillroom.viz.no_observer import NoObserver
 
 
 @dataclass
@@ -238,7 +238,7 @@ def build(
         dense_mapper=timed_part(dense_mapper, clock, integrate="dense", carve="carving"),
         keeper=timed_part(keeper, clock, keep="storage") if keeper else NoKeeper(),
         map=world,
-        observer=observer or Nothing(),
+        observer=observer or NoObserver(),
         first_keyframe=len(world.keyframes),
     )
 

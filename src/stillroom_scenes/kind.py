@@ -1,12 +1,12 @@
 """The data set kind `synthetic`, found by its entry point; the renderer is imported when a room is asked for."""
 
-from stillroom.datasets.kind import Asked, DatasetKind
+from stillroom.datasets.kind import DatasetKind, SequenceRequest
 from stillroom.errors import ConfigError
 from stillroom.protocols import RenderedDataset
 from stillroom_scenes import PREFIX
 
 
-def _open(asked: Asked, camera: str | None, fps: float | None) -> RenderedDataset:
+def _open(asked: SequenceRequest, camera: str | None, fps: float | None) -> RenderedDataset:
     if camera is not None or fps is not None:
         raise ConfigError(
             f"{asked.text}: a rendered sequence brings its own camera and times; leave camera and fps out"

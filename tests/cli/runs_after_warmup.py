@@ -23,9 +23,10 @@ from stillroom.dynamics.homography.homography_sieve import CompensatedHomography
 from stillroom.dynamics.multiview.multiview_sieve import MultiViewConfig
 from stillroom.methods.registry import OWN, method
 from stillroom.pipeline.plots import draw_maps
-from stillroom.semantics.truth import TruthConfig
+from stillroom.semantics.truth import TrueSemanticsConfig
 from stillroom.system import build
-from stillroom.warmup import kernels, warm_up
+from stillroom.warmup import all_kernels as kernels
+from stillroom.warmup import warm_up
 
 BASELINE = method("orb-slam2").config
 THOROUGH = "oc-slam"
@@ -41,7 +42,7 @@ RUNS = (
 def run(config: SlamConfig, folder: Path) -> int:
     """Run a method over rendered frames; do all that can be done with the maps of one. Return the dense map's size."""
     sequence = select(open_dataset("synthetic:walking,frames=90"), "0:60:3")
-    slam = build(config, sequence.camera, TruthConfig().build())  # the renderer's boxes: no weights are needed
+    slam = build(config, sequence.camera, TrueSemanticsConfig().build())  # the renderer's boxes: no weights are needed
     painter, thorough = InpaintingConfig().build(sequence.camera), config.method == THOROUGH
     for index in range(len(sequence)):
         image = sequence.load(index)

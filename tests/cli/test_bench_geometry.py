@@ -15,7 +15,7 @@ from stillroom.cli.bench import app
 from stillroom.datasets.open import open_dataset
 from stillroom.methods.registry import configure
 from stillroom.semantics.masks.pspnet import PspNetConfig
-from stillroom.semantics.nothing import NothingConfig
+from stillroom.semantics.no_segmenter import NothingConfig
 
 CARRIED = "synthetic:carried,frames=220"
 FRAMES = "196:216"

@@ -19,7 +19,7 @@ from stillroom.bench.dense_maps import (
     TruthJudge,
     dense_maps,
 )
-from stillroom.bench.ghosts import Stretches, stretches
+from stillroom.bench.ghost_trials import Stretches, stretches
 from stillroom.cli.bench import app
 from stillroom.datasets.open import open_dataset
 from stillroom.datasets.recording import Recording

@@ -18,11 +18,11 @@ from stillroom.datasets.open import open_dataset
 from stillroom.datasets.recording import Recording
 from stillroom.datasets.selection import select
 from stillroom.dynamics.chain import KeepAllConfig
-from stillroom.dynamics.epipolar import EpipolarConfig
+from stillroom.dynamics.epipolar_sieve import EpipolarConfig
 from stillroom.errors import ConfigError
 from stillroom.methods.registry import configure
 from stillroom.semantics.depth_clusters import DepthClustersConfig, NoClustersConfig
-from stillroom.semantics.nothing import NothingConfig
+from stillroom.semantics.no_segmenter import NothingConfig
 
 ROOM, FIRST, N_FRAMES = "synthetic:walking,fps=10", 30, 26
 FRAMES = f"{FIRST}:{FIRST + N_FRAMES}"

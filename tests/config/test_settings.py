@@ -12,11 +12,11 @@ from stillroom.config import SlamConfig, read_toml, to_toml, updated, with_overr
 from stillroom.config.kinds import DYNAMICS, SEMANTICS
 from stillroom.config.settings import as_toml
 from stillroom.dynamics.chain import KeepAllConfig
-from stillroom.dynamics.epipolar import EpipolarConfig
+from stillroom.dynamics.epipolar_sieve import EpipolarConfig
 from stillroom.errors import ConfigError
 from stillroom.semantics.carried_boxes import CarryConfig
 from stillroom.semantics.mask_files import MaskFilesConfig
-from stillroom.semantics.truth import TruthConfig
+from stillroom.semantics.truth import TrueSemanticsConfig
 from stillroom.semantics.yolo_fastest import YoloFastestConfig
 from stillroom.tracking.tracker import TrackerConfig
 
@@ -178,7 +178,7 @@ def test_changing_a_kind_starts_from_its_defaults_wherever_it_stands() -> None:
     ):
         assert with_overrides(config, overrides).semantics == MaskFilesConfig(folder=Path("masks"))
     changed = with_overrides(config, ["semantics.kind=truth", "semantics.carry.enabled=true"])
-    assert changed.semantics == TruthConfig(carry=replace(CarryConfig(), enabled=True))
+    assert changed.semantics == TrueSemanticsConfig(carry=replace(CarryConfig(), enabled=True))
     # The kind that is there already resets nothing.
     assert with_overrides(config, ["semantics.kind=yolo-fastest"]) == config
 
@@ -201,7 +201,7 @@ def test_wrong_kinds_and_keys_of_another_kind() -> None:
 
 def test_a_part_of_ones_own_needs_no_registration() -> None:
     kind = "stillroom.semantics.truth:TruthConfig"
-    assert with_overrides(SlamConfig(), [f"semantics.kind={kind}"]).semantics == TruthConfig()
+    assert with_overrides(SlamConfig(), [f"semantics.kind={kind}"]).semantics == TrueSemanticsConfig()
     config = SlamConfig(dynamics=OwnSieveConfig(threshold_px=4.0))
     assert f'kind = "{__name__}:OwnSieveConfig"' in to_toml(config)
 

@@ -14,8 +14,8 @@ from stillroom.evaluation.trajectory_errors import ate
 from stillroom.methods.method import Method
 from stillroom.methods.registry import OWN
 from stillroom.protocols import Dataset, Segmenter
-from stillroom.semantics.nothing import NothingConfig
-from stillroom.semantics.truth import TruthConfig
+from stillroom.semantics.no_segmenter import NothingConfig
+from stillroom.semantics.truth import TrueSemanticsConfig
 from stillroom.semantics.yolo_fastest import YoloFastestConfig
 from stillroom.testing.method_contract import check_method
 
@@ -29,7 +29,7 @@ def stand_in(method: Method) -> Callable[[], Segmenter]:
     """The renderer's boxes for a method that has a detector, its masks for one with masks: no weights are needed."""
     if isinstance(method.config.semantics, NothingConfig):
         return NothingConfig().build
-    return TruthConfig(masks=not isinstance(method.config.semantics, YoloFastestConfig)).build
+    return TrueSemanticsConfig(masks=not isinstance(method.config.semantics, YoloFastestConfig)).build
 
 
 @pytest.mark.parametrize("method", OWN, ids=lambda method: method.name)

@@ -128,7 +128,7 @@ def test_a_wrong_entry_beside_a_good_one_is_said_in_one_line(install: Install) -
     install(
         "stillroom.segmenters",
         "absent = mine_of_a_test:Absent\nmine = mine_of_a_test:MineConfig",
-        "from dataclasses import dataclass\nfrom stillroom.semantics.nothing import NothingConfig\n"
+        "from dataclasses import dataclass\nfrom stillroom.semantics.no_segmenter import NothingConfig\n"
         "@dataclass(frozen=True)\nclass MineConfig(NothingConfig):\n    pass\n",
     )
     with pytest.raises(ConfigError, match=r"^entry point 'absent' of mine, .*: cannot be imported \(AttributeError"):

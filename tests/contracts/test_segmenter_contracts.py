@@ -19,9 +19,9 @@ from stillroom.semantics.detector import withhold
 from stillroom.semantics.mask_files import MaskFilesConfig
 from stillroom.semantics.masks.onnx_masks import OnnxMasksConfig
 from stillroom.semantics.masks.pspnet import PspNetConfig
-from stillroom.semantics.nothing import NothingConfig
+from stillroom.semantics.no_segmenter import NothingConfig
 from stillroom.semantics.onnx.onnx_boxes import OnnxBoxesConfig
-from stillroom.semantics.truth import TruthConfig
+from stillroom.semantics.truth import TrueSemanticsConfig
 from stillroom.semantics.yolo_fastest import YoloFastestConfig
 from stillroom.testing.segmenter_contract import check_segmenter
 
@@ -51,11 +51,11 @@ def nothing(folder: Path, images: list[RgbdImage]) -> Build:
 
 
 def truth_boxes(folder: Path, images: list[RgbdImage]) -> Build:
-    return TruthConfig().build
+    return TrueSemanticsConfig().build
 
 
 def truth_masks(folder: Path, images: list[RgbdImage]) -> Build:
-    return TruthConfig(masks=True).build
+    return TrueSemanticsConfig(masks=True).build
 
 
 def masks_by_index(folder: Path, images: list[RgbdImage]) -> Build:
@@ -79,11 +79,11 @@ def instance_files(folder: Path, images: list[RgbdImage]) -> Build:
 
 
 def carried(folder: Path, images: list[RgbdImage]) -> Build:
-    return lambda: withhold(TruthConfig(carry=CarryConfig(grow=0.5)).build(), [(12, 30)])
+    return lambda: withhold(TrueSemanticsConfig(carry=CarryConfig(grow=0.5)).build(), [(12, 30)])
 
 
 def withheld_masks(folder: Path, images: list[RgbdImage]) -> Build:
-    return lambda: withhold(TruthConfig(masks=True).build(), [(12, 14)])
+    return lambda: withhold(TrueSemanticsConfig(masks=True).build(), [(12, 14)])
 
 
 CASES: list[Case] = [

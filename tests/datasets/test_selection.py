@@ -9,7 +9,7 @@ import pytest
 from stillroom.data.semantics import Box, Semantics
 from stillroom.datasets.image_sequence import ImageSequence
 from stillroom.datasets.open import open_dataset
-from stillroom.datasets.recording import View
+from stillroom.datasets.recording import DatasetView
 from stillroom.datasets.selection import parse_range, select
 from stillroom.errors import ConfigError, FrameError
 from stillroom.protocols import Dataset
@@ -81,7 +81,7 @@ def test_without_options_is_the_sequence_itself(twenty: Dataset) -> None:
 
 
 def test_what_a_renderer_knows_is_nothing_in_the_dark(twenty: ImageSequence) -> None:
-    class Rendered(View):
+    class Rendered(DatasetView):
         def load(self, index: int):
             box = Box(1, 1, 9, 9, "person", 1.0)
             return replace(twenty.load(index), truth=Semantics(48, 64, (box,)))

@@ -10,10 +10,10 @@ from stillroom.dense.voxels.evidence_kernels import (
     HIT,
     NOTHING,
     PASSED,
-    DepthView,
     Scoring,
     Seeing,
-    Voxels,
+    SmallDepthView,
+    VoxelColumns,
     answers,
     count_in_view,
     judge_in_view,
@@ -35,7 +35,7 @@ def points_at(depth_m: float, raw_px: np.ndarray, camera=CAMERA) -> np.ndarray:
 
 def said(points_m: np.ndarray, depth_m: np.ndarray, moving: np.ndarray | None = None, camera=CAMERA) -> list[int]:
     views = views_of(small_depth(depth_m, moving, STRIDE))
-    return list(answers(points_m, DepthView(se3.inverse(T_WORLD_CAM), camera.lens, views), SEEING))
+    return list(answers(points_m, SmallDepthView(se3.inverse(T_WORLD_CAM), camera.lens, views), SEEING))
 
 
 def grid() -> np.ndarray:
@@ -91,7 +91,7 @@ def judge(voxels: VoxelMap, depth_m: float, times: int, now: int = 9) -> int:
     T_cam_world, lens = se3.inverse(T_WORLD_CAM), CAMERA.lens
     near = voxels.blocks_near(T_cam_world, lens, (CAMERA.width, CAMERA.height), 5.0)
     views = views_of(small_depth(flat(depth_m), None, STRIDE))
-    view, judged = DepthView(T_cam_world, lens, views), Voxels(voxels.key, voxels.rows, 0.02)
+    view, judged = SmallDepthView(T_cam_world, lens, views), VoxelColumns(voxels.key, voxels.rows, 0.02)
     return sum(judge_in_view(near, judged, now, view, SEEING, Scoring(2, -10, 12)) for _ in range(times))
 
 

@@ -13,7 +13,7 @@ from stillroom.data.matches import Matches
 from stillroom.data.motion import Motion, Stage
 from stillroom.data.semantics import Box, Semantics
 from stillroom.dynamics.depth_history import DepthHistoryConfig
-from stillroom.dynamics.epipolar import EpipolarConfig, EpipolarSieve
+from stillroom.dynamics.epipolar_sieve import EpipolarConfig, EpipolarSieve
 from stillroom.geometry import se3
 from stillroom.schedule import Done
 

@@ -11,20 +11,20 @@ from stillroom import plugins
 from stillroom.config import SlamConfig, to_toml, updated
 from stillroom.config.kinds import DYNAMICS, ChainConfig
 from stillroom.dense.dense_mapper import DenseMapperConfig
-from stillroom.dense.nothing import NoDenseMapConfig
+from stillroom.dense.no_dense_map import NoDenseMapConfig
 from stillroom.dynamics.chain import KeepAllConfig, KeepAllKeypointsConfig
 from stillroom.dynamics.cluster_sieve import ClusterSieveConfig
 from stillroom.dynamics.homography.homography_sieve import CompensatedHomographyConfig
 from stillroom.dynamics.masked_keypoints import MaskedKeypointsConfig
 from stillroom.dynamics.multiview.multiview_sieve import MultiViewConfig
 from stillroom.dynamics.paper_epipolar import PaperEpipolarConfig
-from stillroom.dynamics.segments import MovedSegmentsConfig
+from stillroom.dynamics.segment_sieve import MovedSegmentsConfig
 from stillroom.errors import ConfigError
 from stillroom.methods import registry
 from stillroom.methods.method import Method
 from stillroom.methods.registry import all_methods, configure, method
 from stillroom.semantics.depth_clusters import DepthClustersConfig, NoClustersConfig
-from stillroom.semantics.nothing import NothingConfig
+from stillroom.semantics.no_segmenter import NothingConfig
 from stillroom.semantics.yolo_fastest import YoloFastestConfig
 from stillroom.tracking.low_cost import LowCostConfig, NoLowCostConfig
 

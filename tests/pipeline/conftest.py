@@ -7,10 +7,10 @@ import pytest
 from stillroom.config import SlamConfig
 from stillroom.pipeline import RunOptions, RunOutcome, Source, run
 from stillroom.protocols import Dataset
-from stillroom.semantics.truth import TruthConfig
+from stillroom.semantics.truth import TrueSemanticsConfig
 
 ROOM = Source("synthetic:walking,frames=45")
-CONFIG = SlamConfig(semantics=TruthConfig())
+CONFIG = SlamConfig(semantics=TrueSemanticsConfig())
 
 
 @pytest.fixture(scope="session")

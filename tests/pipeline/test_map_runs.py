@@ -13,7 +13,7 @@ from random_map import assert_same_map
 
 from stillroom.config import SlamConfig, read_toml, updated
 from stillroom.datasets.open import open_dataset
-from stillroom.datasets.recording import View
+from stillroom.datasets.recording import DatasetView
 from stillroom.datasets.selection import select
 from stillroom.dense.dense_mapper import DenseMapperConfig
 from stillroom.errors import ConfigError, FrameError, MapError
@@ -22,15 +22,15 @@ from stillroom.pipeline.maps import MapFile, MapUse, dense_cloud
 from stillroom.pipeline.options import detector_ranges
 from stillroom.protocols import Dataset
 from stillroom.semantics.mask_files import MaskFilesConfig
-from stillroom.semantics.truth import TruthConfig
+from stillroom.semantics.truth import TrueSemanticsConfig
 from stillroom.storage import load_map
 from stillroom.storage.check import check_map
-from stillroom.storage.export import trajectories
 from stillroom.storage.keeper import MapKeeperConfig
+from stillroom.storage.map_export import trajectories
 from stillroom.storage.opening import log_of
 from stillroom.storage.reader import count_images
 
-CONFIG = SlamConfig(semantics=TruthConfig(), storage=MapKeeperConfig(images=True))
+CONFIG = SlamConfig(semantics=TrueSemanticsConfig(), storage=MapKeeperConfig(images=True))
 # More keyframes than usual: most of these tests are about them.
 CONFIG = replace(CONFIG, keyframes=replace(CONFIG.keyframes, share=0.95))
 
@@ -165,7 +165,7 @@ def test_going_on_somewhere_else_begins_a_sub_map(copy: Path) -> None:
 
 
 def test_an_error_in_the_middle_keeps_what_was_committed(room: Dataset, tmp_path: Path) -> None:
-    class Failing(View):
+    class Failing(DatasetView):
         def load(self, index: int):
             if index == 12:
                 raise RuntimeError("the cable came off")

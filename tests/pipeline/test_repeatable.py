@@ -8,8 +8,8 @@ import pytest
 from stillroom.config import SlamConfig
 from stillroom.methods.registry import method
 from stillroom.pipeline import RunOptions, Source, run
-from stillroom.semantics.nothing import NothingConfig
-from stillroom.semantics.truth import TruthConfig
+from stillroom.semantics.no_segmenter import NothingConfig
+from stillroom.semantics.truth import TrueSemanticsConfig
 
 REPEATED = ("trajectory.tum", "trajectory_online.tum", "keyframes.tum", "frames.csv")
 
@@ -26,7 +26,7 @@ def assert_same_bytes(source: Source, config: SlamConfig, tmp_path: Path) -> Non
 def test_in_the_synthetic_room(name: str, tmp_path: Path) -> None:
     config = replace(method(name).config, seed=3)
     if not isinstance(config.semantics, NothingConfig):
-        config = replace(config, semantics=TruthConfig())
+        config = replace(config, semantics=TrueSemanticsConfig())
     assert_same_bytes(Source("synthetic:walking,frames=45"), config, tmp_path)
 
 

@@ -26,10 +26,10 @@ from stillroom.methods.registry import configure, method
 from stillroom.pipeline import RunOptions, RunOutcome, Source, evaluate_folder, run
 from stillroom.pipeline.options import detector_ranges
 from stillroom.protocols import Dataset
-from stillroom.semantics.truth import TruthConfig
+from stillroom.semantics.truth import TrueSemanticsConfig
 from stillroom.semantics.yolo_fastest import YoloFastestConfig
 
-CONFIG = SlamConfig(semantics=TruthConfig())
+CONFIG = SlamConfig(semantics=TrueSemanticsConfig())
 NOTHING_WRITTEN = RunOptions(root=None)
 FILES = {
     "config.toml",
@@ -352,7 +352,7 @@ def test_images_are_let_go(room: Dataset, name: str) -> None:
             loaded.append(weakref.ref(image))
             return image
 
-    config = replace(method(name).config, semantics=TruthConfig())
+    config = replace(method(name).config, semantics=TrueSemanticsConfig())
     run(Watched(room, np.arange(40)), config, NOTHING_WRITTEN)
     assert len(loaded) == 40
     assert most <= 3

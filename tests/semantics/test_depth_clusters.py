@@ -14,8 +14,8 @@ from stillroom.datasets.open import open_dataset
 from stillroom.errors import ConfigError
 from stillroom.geometry.arrays import Bool
 from stillroom.geometry.camera import Camera
+from stillroom.geometry.cloud.cloud_segments import SegmentLimits
 from stillroom.geometry.cloud.planes import PlaneLimits
-from stillroom.geometry.cloud.segments import SegmentLimits
 from stillroom.schedule import Done
 from stillroom.semantics.depth_clusters import DepthClusterer, DepthClustersConfig, NoClustersConfig
 from stillroom.semantics.yolo_fastest import YoloFastestConfig

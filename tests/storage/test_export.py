@@ -11,7 +11,7 @@ from random_map import EventfulLife, session
 from small_world import CAMERA
 
 from stillroom.geometry import se3
-from stillroom.storage.export import keyframe_trajectories, trajectories, write_colmap, write_trajectories
+from stillroom.storage.map_export import keyframe_trajectories, trajectories, write_colmap, write_trajectories
 from stillroom.storage.schema import FrameNote, StoredMap
 
 

@@ -14,7 +14,7 @@ from stillroom.data.map import submaps
 from stillroom.data.result import FrameResult, Recovery, TrackingState
 from stillroom.datasets.open import open_dataset
 from stillroom.datasets.selection import select
-from stillroom.dense.nothing import NoDenseMapConfig
+from stillroom.dense.no_dense_map import NoDenseMapConfig
 from stillroom.evaluation.trajectory_errors import ate
 from stillroom.methods.registry import method
 from stillroom.protocols import Dataset

@@ -16,8 +16,8 @@ from stillroom.features.places.place_index import PlaceMemory
 from stillroom.features.projection import Window
 from stillroom.geometry import se3
 from stillroom.tracking.relocalizer import (
-    Found,
     RecognitionConfig,
+    RecognizedPose,
     around_projections,
     by_words,
     solve_pnp,
@@ -43,7 +43,9 @@ def look(small: SmallMap, flips: int = 6, world: SmallWorld | None = None) -> tu
     return (world or small.world).look(TRUE, seed=99, noise_px=0.3, flips=flips)
 
 
-def recognised(small: SmallMap, places: PlaceMemory, frame: Frame, keyframe: int = 2, **config: float) -> Found | None:
+def recognised(
+    small: SmallMap, places: PlaceMemory, frame: Frame, keyframe: int = 2, **config: float
+) -> RecognizedPose | None:
     recognizer = replace(RecognitionConfig(), **config).build(parts())
     bag = places.bag_of_frame(frame)
     return recognizer.recognise(frame, bag, keyframe, places.index.nodes(keyframe), small.map)

@@ -17,7 +17,7 @@ from stillroom.errors import ConfigError, StillroomError
 from stillroom.geometry.camera import Camera
 from stillroom.viz.clusters import draw_clusters
 from stillroom.viz.marks import MOVING, STATIC
-from stillroom.viz.nothing import Nothing
+from stillroom.viz.no_observer import NoObserver
 from stillroom.viz.recorder import PictureRecorder, PictureRecorderConfig, draw_verdict
 
 CAMERA = Camera(64, 48, 50.0, 50.0, 32.0, 24.0)
@@ -38,7 +38,7 @@ def frame_at(index: int) -> tuple[Tracked, Semantics, FrameResult]:
     return tracked, Semantics(48, 64), result
 
 
-def run(observer: PictureRecorder | Nothing, indices: range) -> None:
+def run(observer: PictureRecorder | NoObserver, indices: range) -> None:
     for index in indices:
         observer.on_frame(*frame_at(index))
 
@@ -102,7 +102,7 @@ def test_an_unknown_kind_is_named(tmp_path: Path) -> None:
 
 
 def test_nothing_looks_at_nothing() -> None:
-    run(Nothing(), range(3))
+    run(NoObserver(), range(3))
 
 
 @pytest.mark.parametrize(("config", "word"), [({"every": -1}, "every"), ({"scale": 0.0}, "scale")])

@@ -14,10 +14,10 @@ from stillroom.dynamics.chain import KeepAllConfig, KeepAllKeypointsConfig
 from stillroom.dynamics.homography.homography_sieve import CompensatedHomographyConfig
 from stillroom.dynamics.whole_boxes import WholeBoxesConfig
 from stillroom.evaluation.report import percent
-from stillroom.pipeline import SILENT, Progress
+from stillroom.pipeline import SILENT, RunProgress
 from stillroom.protocols import Dataset
 from stillroom.semantics.depth_clusters import NoClustersConfig
-from stillroom.semantics.nothing import NothingConfig
+from stillroom.semantics.no_segmenter import NothingConfig
 from stillroom.system import Slam
 
 HEADER = ("what decides", "ATE [m]", "tracked", "static kept", "moving found", "object found", "its pixels", "wrong")
@@ -107,7 +107,7 @@ def ablated(
     config: SlamConfig,
     runs: int,
     things: MovingThings | None,
-    progress: Progress = SILENT,
+    progress: RunProgress = SILENT,
 ) -> Ablated:
     """Run a config with seeds 0, 1, … over a sequence, and count what it finds where the truth is known.
 

@@ -11,7 +11,7 @@ from stillroom.data.clouds import DenseCloud
 from stillroom.data.result import FrameResult, Tracked
 from stillroom.data.semantics import Semantics
 from stillroom.dense.dense_mapper import DenseMapper, DenseMapperConfig
-from stillroom.dense.nothing import NoDenseMapConfig
+from stillroom.dense.no_dense_map import NoDenseMapConfig
 from stillroom.errors import FrameError, TrajectoryError
 from stillroom.evaluation.ghost_truth import TrueScene, ghosts_by_truth
 from stillroom.evaluation.ghost_views import DepthView
@@ -30,7 +30,7 @@ from stillroom.evaluation.report import percent
 from stillroom.geometry import se3
 from stillroom.geometry.align import align_poses
 from stillroom.geometry.arrays import F64, Floats
-from stillroom.pipeline import SILENT, Progress
+from stillroom.pipeline import SILENT, RunProgress
 from stillroom.protocols import Dataset, Parts, RenderedDataset
 from stillroom.system import Slam, build
 
@@ -61,7 +61,7 @@ class DenseMaps:
 
 
 def dense_maps(
-    dataset: Dataset, config: SlamConfig, dense: DenseMapperConfig, mapped: range, progress: Progress = SILENT
+    dataset: Dataset, config: SlamConfig, dense: DenseMapperConfig, mapped: range, progress: RunProgress = SILENT
 ) -> DenseMaps:
     """Run a method over a sequence and map some of its images.
 
@@ -115,7 +115,7 @@ class _Twins:
                 mapper.carve(image, tracked.T_world_cam, moving)
 
 
-def _track_all(dataset: Dataset, slam: Slam, progress: Progress) -> None:
+def _track_all(dataset: Dataset, slam: Slam, progress: RunProgress) -> None:
     for place in range(len(dataset)):
         try:
             image = dataset.load(place)

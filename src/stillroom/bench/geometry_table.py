@@ -8,18 +8,18 @@ import numpy as np
 
 from stillroom.bench.onlookers import TESTS, GeometryOnlooker, GeometryTrialConfig, Shown
 from stillroom.config import SlamConfig
-from stillroom.dense.nothing import NoDenseMapConfig
+from stillroom.dense.no_dense_map import NoDenseMapConfig
 from stillroom.dynamics.ants.comparison import SearchComparison, total
 from stillroom.dynamics.homography.point_motion import DYNAMIC, UNKNOWN
 from stillroom.errors import StillroomError
 from stillroom.evaluation.report import percent
 from stillroom.geometry.arrays import U8
 from stillroom.geometry.camera import Camera
-from stillroom.pipeline import SILENT, Progress, RunOptions, run
+from stillroom.pipeline import SILENT, RunOptions, RunProgress, run
 from stillroom.protocols import Dataset
 from stillroom.system import Slam
 from stillroom.viz.film import contact_sheet
-from stillroom.viz.geometry import AntWalk, compensated, draw_ant_walk, draw_difference, draw_moving_points
+from stillroom.viz.geometry_pictures import AntWalk, compensated, draw_ant_walk, draw_difference, draw_moving_points
 from stillroom.viz.png import write_png
 
 HEADER = ("point test", "search", "tested", "recall", "precision", "path px", "ms", "ratio", "with regions", "ratio")
@@ -96,7 +96,7 @@ class GeometryTable:
 
 
 def geometry_table(
-    dataset: Dataset, config: SlamConfig, trial: GeometryTrialConfig, progress: Progress = SILENT
+    dataset: Dataset, config: SlamConfig, trial: GeometryTrialConfig, progress: RunProgress = SILENT
 ) -> GeometryTable:
     """Track a sequence, and put its images to both geometries. Kernels should be warm.
 

@@ -14,10 +14,10 @@ from stillroom.data.result import FrameResult, Tracked
 from stillroom.data.semantics import Semantics, nothing
 from stillroom.dynamics.ants.colony import PATHS
 from stillroom.dynamics.ants.comparison import PointSet, SearchComparison, compare
-from stillroom.dynamics.ants.search import Found, ReverseSearch, ReverseSearchConfig
+from stillroom.dynamics.ants.search import ReverseSearch, ReverseSearchConfig, SearchResult
 from stillroom.dynamics.asking import Asking
 from stillroom.dynamics.homography.homography_sieve import CompensatedHomographyConfig, Findings
-from stillroom.dynamics.multiview.geometry import DYNAMIC, Geometry, GeometryConfig, PointsInView
+from stillroom.dynamics.multiview.multiview_geometry import DYNAMIC, Geometry, GeometryConfig, PointsInView
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import I64, Bool
 from stillroom.geometry.pixels import Shape, grown, values_at
@@ -75,7 +75,7 @@ class Shown:
     image: RgbdImage
     earlier: RgbdImage
     findings: Findings
-    found: Found
+    found: SearchResult
     ants: ReverseSearchConfig
     mask: Bool | None
 

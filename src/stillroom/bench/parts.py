@@ -17,7 +17,7 @@ from stillroom.evaluation.report import percent
 from stillroom.protocols import Dataset
 from stillroom.semantics.depth_clusters import NoClustersConfig
 from stillroom.semantics.detector import FrameRange
-from stillroom.semantics.nothing import NothingConfig
+from stillroom.semantics.no_segmenter import NothingConfig
 
 HALF = "both, detector half the time"
 HEADER = ("what rejects", "ATE [m]", "min", "max", "tracked", "static kept", "of keypoints", "in use")

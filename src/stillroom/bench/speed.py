@@ -15,10 +15,10 @@ from stillroom.bench.trial import attempt
 from stillroom.config import SlamConfig
 from stillroom.data.image import RgbdImage
 from stillroom.data.trajectory import Trajectory
-from stillroom.datasets.recording import View
+from stillroom.datasets.recording import DatasetView
 from stillroom.evaluation.report import percent
 from stillroom.evaluation.timing import FRAME, StageTime, peak_memory_mb
-from stillroom.pipeline import SILENT, Progress
+from stillroom.pipeline import SILENT, RunProgress
 from stillroom.pipeline.run import LOADING
 from stillroom.protocols import Dataset
 
@@ -101,7 +101,7 @@ class Speed:
         return asdict(self) | {"units": self.units, "units_by_wall": self.units_by_wall}
 
 
-def speed(dataset: "UnitMeter", name: str, config: SlamConfig, progress: Progress = SILENT) -> Speed:
+def speed(dataset: "UnitMeter", name: str, config: SlamConfig, progress: RunProgress = SILENT) -> Speed:
     """Run a method over a sequence and take its time. Kernels should be warm.
 
     Args:
@@ -128,7 +128,7 @@ def speed(dataset: "UnitMeter", name: str, config: SlamConfig, progress: Progres
     )
 
 
-class UnitMeter(View):
+class UnitMeter(DatasetView):
     """A sequence that takes the unit on every few of the images that it delivers."""
 
     def __init__(self, inner: Dataset, every: int = UNIT_EVERY) -> None:

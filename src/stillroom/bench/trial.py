@@ -10,10 +10,10 @@ from stillroom.config import SlamConfig
 from stillroom.data.image import RgbdImage
 from stillroom.data.result import FrameResult
 from stillroom.data.semantics import Semantics
-from stillroom.dense.nothing import NoDenseMapConfig
+from stillroom.dense.no_dense_map import NoDenseMapConfig
 from stillroom.evaluation.report import Evaluation, percent
 from stillroom.evaluation.timing import StageClock
-from stillroom.pipeline import SILENT, Progress, RunOptions, run
+from stillroom.pipeline import SILENT, RunOptions, RunProgress, run
 from stillroom.protocols import Dataset, RunObserver, Segmenter
 from stillroom.semantics.detector import FrameRange, WithheldSegmenter
 from stillroom.system import Slam, segmenter_of
@@ -124,7 +124,7 @@ def attempt(
     dataset: Dataset,
     config: SlamConfig,
     seed: int,
-    progress: Progress = SILENT,
+    progress: RunProgress = SILENT,
     withheld: tuple[FrameRange, ...] = (),
     observe: Callable[[Slam], RunObserver] | None = None,
 ) -> Trial:

@@ -9,7 +9,7 @@ from stillroom.errors import MapError, StillroomError
 
 if TYPE_CHECKING:
     from stillroom.data.clouds import DenseCloud
-    from stillroom.dense.export.formats import ExportConfig, Written
+    from stillroom.dense.export.formats import ExportConfig, WrittenFile
 
 DEFAULT_FOLDER = Path("results/latest")
 UNITS = ("bytes", "KB", "MB", "GB")
@@ -90,7 +90,7 @@ def _made(folder: Path) -> Path:
     return folder
 
 
-def _sentence(written: "Written") -> str:
+def _sentence(written: "WrittenFile") -> str:
     path = written.path
     shown = path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
     return f"{shown}: {written.content}, {_size(path.stat().st_size)}"

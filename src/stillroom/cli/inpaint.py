@@ -10,7 +10,7 @@ from stillroom.cli.arguments import ConfigFile, Method, Seed, Settings
 if TYPE_CHECKING:
     from stillroom.config import SlamConfig
     from stillroom.pipeline import RunOutcome, Source
-    from stillroom.pipeline.inpainting import InpaintingRecorder, InpaintingRecorderConfig
+    from stillroom.pipeline.inpainted_sequence import InpaintingRecorder, InpaintingRecorderConfig
     from stillroom.protocols import Dataset
     from stillroom.system import Slam
 
@@ -57,7 +57,7 @@ def inpaint(
     """
     from stillroom.methods.registry import configure
     from stillroom.pipeline import Source
-    from stillroom.pipeline.inpainting import InpaintingRecorderConfig
+    from stillroom.pipeline.inpainted_sequence import InpaintingRecorderConfig
 
     chosen = configure(method, config, settings or (), seed)
     wanted = InpaintingRecorderConfig(every=every, video=video, map_every=MAP_EVERY if from_map else 0)
@@ -101,7 +101,7 @@ def _recorder(
     """Return a recorder with frames for its sheet from all over the sequence, at the pace of its images."""
     import numpy as np
 
-    from stillroom.pipeline.inpainting import painted_error
+    from stillroom.pipeline.inpainted_sequence import painted_error
 
     numbers, stamps_s = dataset.numbers, dataset.timestamps_s
     places = (np.arange(wanted.on_sheet) + 0.9) * len(numbers) / max(1, wanted.on_sheet)

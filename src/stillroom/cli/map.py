@@ -110,7 +110,7 @@ def _made(folder: Path) -> Path:
 
 
 def _write_sparse(name: str, stored: "StoredMap", folder: Path) -> list[str]:
-    from stillroom.storage.export import write_colmap, write_trajectories
+    from stillroom.storage.map_export import write_colmap, write_trajectories
 
     if name == TRAJECTORY:
         return [f"{path}: {n} poses" for path, n in write_trajectories(stored, folder)]

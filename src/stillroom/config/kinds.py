@@ -14,15 +14,15 @@ from importlib.metadata import EntryPoint
 from typing import Any, Protocol
 
 from stillroom.dense.dense_mapper import DenseMapperConfig
-from stillroom.dense.nothing import NoDenseMapConfig
+from stillroom.dense.no_dense_map import NoDenseMapConfig
 from stillroom.dynamics.chain import Chain, KeepAllConfig, KeepAllKeypointsConfig
 from stillroom.dynamics.cluster_sieve import ClusterSieveConfig
-from stillroom.dynamics.epipolar import EpipolarConfig
+from stillroom.dynamics.epipolar_sieve import EpipolarConfig
 from stillroom.dynamics.homography.homography_sieve import CompensatedHomographyConfig
 from stillroom.dynamics.masked_keypoints import MaskedKeypointsConfig
 from stillroom.dynamics.multiview.multiview_sieve import CodeMultiViewConfig, MultiViewConfig, PaperMultiViewConfig
 from stillroom.dynamics.paper_epipolar import PaperEpipolarConfig
-from stillroom.dynamics.segments import MovedSegmentsConfig
+from stillroom.dynamics.segment_sieve import MovedSegmentsConfig
 from stillroom.dynamics.whole_boxes import WholeBoxesConfig
 from stillroom.errors import ConfigError
 from stillroom.plugins import PluginGroup
@@ -31,9 +31,9 @@ from stillroom.semantics.depth_clusters import DepthClustersConfig, NoClustersCo
 from stillroom.semantics.mask_files import MaskFilesConfig
 from stillroom.semantics.masks.onnx_masks import OnnxMasksConfig
 from stillroom.semantics.masks.pspnet import PspNetConfig
-from stillroom.semantics.nothing import NothingConfig
+from stillroom.semantics.no_segmenter import NothingConfig
 from stillroom.semantics.onnx.onnx_boxes import OnnxBoxesConfig
-from stillroom.semantics.truth import TruthConfig
+from stillroom.semantics.truth import TrueSemanticsConfig
 from stillroom.semantics.yolo_fastest import YoloFastestConfig
 from stillroom.tracking.low_cost import LowCostConfig, NoLowCostConfig
 
@@ -185,7 +185,7 @@ SEMANTICS = Kinds(
         "onnx-masks": OnnxMasksConfig,
         "pspnet": PspNetConfig,
         "mask-files": MaskFilesConfig,
-        "truth": TruthConfig,
+        "truth": TrueSemanticsConfig,
     },
     SEGMENTERS,
 )

@@ -91,7 +91,7 @@ def _key(key: str) -> str:
 
 
 @dataclass(frozen=True)
-class Written:
+class WrittenValue:
     """A value as written on the command line, before the type of its field is known."""
 
     text: str
@@ -108,7 +108,7 @@ def convert(value: Any, kind: Any, name: str) -> Any:
     """Return a value of a field's type; "" is None where the type allows it.
 
     Args:
-        value: From TOML, or `Written`.
+        value: From TOML, or `WrittenValue`.
         kind: The type of the field.
         name: Dotted name, for messages.
 
@@ -121,10 +121,10 @@ def convert(value: Any, kind: Any, name: str) -> Any:
         return None if _is_empty(value) else convert(value, inner, name)
     if origin is tuple:
         return _tuple(value, typing.get_args(kind), name)
-    plain = value.read() if isinstance(value, Written) else value
+    plain = value.read() if isinstance(value, WrittenValue) else value
     if kind in (str, Path):
         # 1.1 and 2024-01-01 are fine names, though TOML reads them as something else.
-        text = value.text if isinstance(value, Written) and not isinstance(plain, str) else plain
+        text = value.text if isinstance(value, WrittenValue) and not isinstance(plain, str) else plain
         if not isinstance(text, str):
             raise _wrong(value, kind, name)
         return Path(text).expanduser() if kind is Path else text
@@ -138,9 +138,9 @@ def convert(value: Any, kind: Any, name: str) -> Any:
 
 
 def _tuple(value: Any, kinds: tuple[Any, ...], name: str) -> tuple[Any, ...]:
-    items = value.read() if isinstance(value, Written) else value
-    if isinstance(value, Written) and not isinstance(items, list):
-        items = [Written(part.strip()) for part in value.text.split(",") if part.strip()]
+    items = value.read() if isinstance(value, WrittenValue) else value
+    if isinstance(value, WrittenValue) and not isinstance(items, list):
+        items = [WrittenValue(part.strip()) for part in value.text.split(",") if part.strip()]
     if not isinstance(items, list | tuple):
         raise ConfigError(f"'{name}' is {items!r}; it must be a list")
     if len(kinds) == 2 and kinds[1] is Ellipsis:
@@ -151,11 +151,11 @@ def _tuple(value: Any, kinds: tuple[Any, ...], name: str) -> tuple[Any, ...]:
 
 
 def _is_empty(value: Any) -> bool:
-    return value is None or value == "" or (isinstance(value, Written) and value.read() == "")
+    return value is None or value == "" or (isinstance(value, WrittenValue) and value.read() == "")
 
 
 def _wrong(value: Any, kind: Any, name: str) -> ConfigError:
-    shown = f"'{value.text}'" if isinstance(value, Written) else repr(value)
+    shown = f"'{value.text}'" if isinstance(value, WrittenValue) else repr(value)
     return ConfigError(f"'{name}' is {shown}; it must be {WORDS[kind]}")
 
 
@@ -250,7 +250,7 @@ def with_overrides(config: C, overrides: Iterable[str]) -> C:
             if not isinstance(inner, dict):
                 raise ConfigError(f"'{override}': {part} was given a value before, so it has no keys")
             section = inner
-        section[parts[-1]] = Written(text.strip())
+        section[parts[-1]] = WrittenValue(text.strip())
     return updated(config, tree)
 
 
@@ -270,7 +270,7 @@ def _updated(config: Any, values: Mapping[str, Any], path: tuple[str, ...], kind
                 raise ConfigError(f"'{name}' is a value, not a section: it has no key '{next(iter(value), '')}'")
             changes[key] = convert(value, hints[key], name)
             continue
-        section = value.read() if isinstance(value, Written) else value
+        section = value.read() if isinstance(value, WrittenValue) else value
         if not isinstance(section, Mapping):
             raise ConfigError(
                 f"'{name}' is a section; set one of its keys, such as '{_first_key(present, kinds, name)}'"

@@ -19,7 +19,7 @@ from stillroom.config.kinds import (
     QuickTrackingConfig,
     SegmenterConfig,
 )
-from stillroom.dense.nothing import NoDenseMapConfig
+from stillroom.dense.no_dense_map import NoDenseMapConfig
 from stillroom.dynamics.chain import KeepAllConfig, KeepAllKeypointsConfig
 from stillroom.features.orb import OrbConfig
 from stillroom.features.places.place_index import PlacesConfig
@@ -27,7 +27,7 @@ from stillroom.loops.joining import JoiningConfig
 from stillroom.loops.loop_closer import LoopsConfig
 from stillroom.mapping.local_mapper import LocalMapperConfig
 from stillroom.semantics.depth_clusters import NoClustersConfig
-from stillroom.semantics.nothing import NothingConfig
+from stillroom.semantics.no_segmenter import NothingConfig
 from stillroom.storage.keeper import MapKeeperConfig
 from stillroom.tracking.keyframe_policy import KeyframePolicyConfig
 from stillroom.tracking.low_cost import NoLowCostConfig

@@ -13,7 +13,7 @@ import numpy as np
 from stillroom.data.trajectory import Trajectory
 from stillroom.datasets.folder import open_folder
 from stillroom.datasets.image_sequence import ImageSequence
-from stillroom.datasets.kind import Asked, DatasetKind
+from stillroom.datasets.kind import DatasetKind, SequenceRequest
 from stillroom.datasets.tum import RGB_LIST_NAME, open_tum
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64
@@ -63,12 +63,12 @@ def open_bonn(folder: Path, camera: str | None = None, name: str | None = None) 
     return replace(sequence, groundtruth_at_camera=marker_to_camera(sequence.groundtruth))
 
 
-def _is_bonn(asked: Asked) -> bool:
+def _is_bonn(asked: SequenceRequest) -> bool:
     folder = asked.folder
     return folder is not None and asked.name.startswith(NAME_PREFIX) and (folder / RGB_LIST_NAME).exists()
 
 
-def _open(asked: Asked, camera: str | None, fps: float | None) -> Dataset:
+def _open(asked: SequenceRequest, camera: str | None, fps: float | None) -> Dataset:
     assert asked.folder is not None, "recognised by its folder"
     if fps is not None:  # refused as for any folder with lists
         return open_folder(asked.folder, camera, asked.name, fps)

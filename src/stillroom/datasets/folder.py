@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from stillroom.datasets.image_sequence import ImageSequence, Listing, build_sequence, increasing
-from stillroom.datasets.kind import Asked, DatasetKind
+from stillroom.datasets.kind import DatasetKind, SequenceRequest
 from stillroom.datasets.tum import RGB_LIST_NAME, open_tum
 from stillroom.errors import ConfigError, DatasetError
 from stillroom.protocols import Dataset
@@ -106,12 +106,12 @@ def _same_places(folder: Path, rgb: list[Path], depth: list[Path]) -> tuple[list
     )
 
 
-def _is_sequence(asked: Asked) -> bool:
+def _is_sequence(asked: SequenceRequest) -> bool:
     folder = asked.folder
     return folder is not None and ((folder / RGB_LIST_NAME).is_file() or (folder / "rgb").is_dir())
 
 
-def _open(asked: Asked, camera: str | None, fps: float | None) -> Dataset:
+def _open(asked: SequenceRequest, camera: str | None, fps: float | None) -> Dataset:
     assert asked.folder is not None, "recognised by its folder"
     return open_folder(asked.folder, camera, asked.name, fps)
 

@@ -8,7 +8,7 @@ from stillroom.protocols import Dataset
 
 
 @dataclass(frozen=True)
-class Asked:
+class SequenceRequest:
     """What the user asked for.
 
     Attributes:
@@ -50,5 +50,5 @@ class DatasetKind:
 
     name: str
     summary: str
-    recognises: Callable[[Asked], bool]
-    open: Callable[[Asked, str | None, float | None], Dataset]
+    recognises: Callable[[SequenceRequest], bool]
+    open: Callable[[SequenceRequest, str | None, float | None], Dataset]

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from stillroom.data.locations import data_folders, sequence_path
 from stillroom.datasets import archive
-from stillroom.datasets.kind import Asked, DatasetKind
+from stillroom.datasets.kind import DatasetKind, SequenceRequest
 from stillroom.datasets.registry import LAST, all_kinds
 from stillroom.datasets.tum import RGB_LIST_NAME
 from stillroom.errors import DatasetError
@@ -31,7 +31,7 @@ def open_dataset(path_or_name: str, camera: str | None = None, fps: float | None
         ConfigError: An option does not go with this kind of sequence, or an installed package offers what is no kind.
     """
     kinds = tuple(all_kinds().values())
-    asked = Asked(path_or_name)
+    asked = SequenceRequest(path_or_name)
     kind = _recognised(asked, kinds)
     if kind is None:
         asked = _found(path_or_name)
@@ -42,14 +42,14 @@ def open_dataset(path_or_name: str, camera: str | None = None, fps: float | None
     return (kind or LAST).open(asked, camera, fps)
 
 
-def _recognised(asked: Asked, kinds: Iterable[DatasetKind]) -> DatasetKind | None:
+def _recognised(asked: SequenceRequest, kinds: Iterable[DatasetKind]) -> DatasetKind | None:
     return next((kind for kind in kinds if kind.recognises(asked)), None)
 
 
-def _found(path_or_name: str) -> Asked:
+def _found(path_or_name: str) -> SequenceRequest:
     path = Path(path_or_name).expanduser()
     if path.exists():
-        return Asked(path_or_name, path, path.resolve().name)
+        return SequenceRequest(path_or_name, path, path.resolve().name)
     if len(path.parts) > 1:
         raise DatasetError(f"{path}: no such folder or archive")
     named = sequence_path(path_or_name)
@@ -59,10 +59,10 @@ def _found(path_or_name: str) -> Asked:
             f"{path}: no such folder or archive here, nor in {places}; "
             "'stillroom download --help' says what can be fetched"
         )
-    return Asked(path_or_name, named, named.resolve().name)
+    return SequenceRequest(path_or_name, named, named.resolve().name)
 
 
-def _unpacked(asked: Asked, kinds: Iterable[DatasetKind]) -> tuple[Asked, DatasetKind]:
+def _unpacked(asked: SequenceRequest, kinds: Iterable[DatasetKind]) -> tuple[SequenceRequest, DatasetKind]:
     """Return the shallowest folder of an archive that some kind recognises, and the kind."""
     path = asked.path
     if path is None or not archive.is_archive(path):
@@ -70,7 +70,7 @@ def _unpacked(asked: Asked, kinds: Iterable[DatasetKind]) -> tuple[Asked, Datase
     top = archive.unpacked(path)
     for folder in _folders(top):
         # An archive without a folder of its own inside is called what its file is called.
-        inside = Asked(asked.text, folder, archive.stem(path) if folder == top else folder.name)
+        inside = SequenceRequest(asked.text, folder, archive.stem(path) if folder == top else folder.name)
         kind = _recognised(inside, kinds)
         if kind is not None:
             return inside, kind

@@ -51,12 +51,12 @@ class Recording:
 
 def rendered(dataset: Dataset) -> RenderedDataset | None:
     """Return the rendered sequence that a data set is or shows a part of; None where it is none."""
-    while isinstance(dataset, View):
+    while isinstance(dataset, DatasetView):
         dataset = dataset.inner
     return cast(RenderedDataset, dataset) if isinstance(dataset, KnownScene) else None
 
 
-class View:
+class DatasetView:
     """Base of a `Dataset` that shows another one: it says what the other says, but for what a subclass overrides."""
 
     def __init__(self, inner: Dataset) -> None:

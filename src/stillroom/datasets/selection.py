@@ -8,13 +8,13 @@ import numpy as np
 from stillroom.data.image import RgbdImage
 from stillroom.data.semantics import nothing
 from stillroom.data.trajectory import Trajectory
-from stillroom.datasets.recording import View
+from stillroom.datasets.recording import DatasetView
 from stillroom.errors import ConfigError
 from stillroom.geometry.arrays import F64, I64, Bool
 from stillroom.protocols import Dataset
 
 
-class Selected(View):
+class Selected(DatasetView):
     """A `Dataset` that shows some of another's images.
 
     Images keep the numbers they have in the original sequence, in `RgbdImage.index` and in every range, also when
@@ -58,7 +58,7 @@ class Selected(View):
         return replace(image, rgb=np.zeros_like(image.rgb), depth_m=np.zeros_like(image.depth_m), truth=black_truth)
 
 
-class Reversed(View):
+class Reversed(DatasetView):
     """A `Dataset` that plays another backwards: times and ground truth are mirrored, so that time goes on as it must.
 
     Numbers of images, which must increase, count from the end of the original: its last image is number 0.

@@ -13,10 +13,10 @@ from stillroom.data.map import Map
 from stillroom.dense.keyframe_cloud import UNIT_M, SurfaceConfig, in_units
 from stillroom.dense.voxels.evidence_kernels import (
     NOTHING,
-    DepthView,
     Scoring,
     Seeing,
-    Voxels,
+    SmallDepthView,
+    VoxelColumns,
     answers,
     count_in_view,
     judge_in_view,
@@ -327,7 +327,7 @@ class Carver:
         heard = np.zeros(len(rows), dtype=np.bool_)
         positions_m = mean_positions(rows, voxels.key, voxels.rows, voxels.voxel_m)
         for T_cam_world, depth in self._witnesses.choose(positions_m, self._far_m, config.n_asked, self.world):
-            view = DepthView(T_cam_world, self._lens, views_of(depth))
+            view = SmallDepthView(T_cam_world, self._lens, views_of(depth))
             judge_rows(rows, positions_m, voxels.rows, view, self._seeing, self._scoring, heard)
         voxels.score[rows[~heard]] = 1  # nobody has said anything against these
 
@@ -335,8 +335,8 @@ class Carver:
         """Let a small depth image (h, w) judge what is in view."""
         voxels, T_cam_world = self.voxels, se3.inverse(T_world_cam)
         near = voxels.blocks_near(T_cam_world, self._lens, self._size_px, self._far_m)
-        view = DepthView(T_cam_world, self._lens, views_of(depth))
-        judged = Voxels(voxels.key, voxels.rows, voxels.voxel_m)
+        view = SmallDepthView(T_cam_world, self._lens, views_of(depth))
+        judged = VoxelColumns(voxels.key, voxels.rows, voxels.voxel_m)
         judge_in_view(near, judged, now, view, self._seeing, self._scoring)
         self._since_judged = 0
 
@@ -351,7 +351,7 @@ class Carver:
         positions_m = mean_positions(rows, voxels.key, voxels.rows, voxels.voxel_m)
         perhaps = moving.perhaps_near(positions_m, config.radius_m)
         rows, positions_m = rows[perhaps], positions_m[perhaps]
-        view = DepthView(se3.inverse(T_world_cam), self._lens, views_of(depth))
+        view = SmallDepthView(se3.inverse(T_world_cam), self._lens, views_of(depth))
         said = answers(positions_m, view, self._seeing)
         open_to_it = said == NOTHING
         gone = moving.near(positions_m[open_to_it], config.radius_m)

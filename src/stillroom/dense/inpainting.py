@@ -118,7 +118,7 @@ class Painted:
 
 
 @dataclass(frozen=True)
-class _Seen:
+class _KeyframeImage:
     """A keyframe: its id, colours (H, W, 3) and usable depths (H, W)."""
 
     keyframe: int
@@ -135,7 +135,7 @@ class BackgroundPainter:
         self._lens = camera.lens
         self._camera = camera
         self._rays = _rays(camera)
-        self._seen: deque[_Seen] = deque(maxlen=config.keyframes)
+        self._seen: deque[_KeyframeImage] = deque(maxlen=config.keyframes)
 
     def __len__(self) -> int:
         """How many keyframes are kept."""
@@ -144,7 +144,7 @@ class BackgroundPainter:
     def remember(self, keyframe: int, image: RgbdImage, moving: Bool) -> None:
         """Keep a keyframe of the map, without what moves in it (H, W)."""
         usable = ~grown(moving, self.config.margin_px, Shape.SQUARE)
-        self._seen.append(_Seen(keyframe, image.rgb, np.where(usable, image.depth_m, np.float32(0))))
+        self._seen.append(_KeyframeImage(keyframe, image.rgb, np.where(usable, image.depth_m, np.float32(0))))
 
     def paint(
         self, image: RgbdImage, T_world_cam: F64, moving: Bool, world: Map, cloud: DenseCloud | None = None
@@ -188,7 +188,7 @@ class BackgroundPainter:
             splat_colour(surface, paint, lens, least_m, self.config.same_share, nearest_m, total)
         return total
 
-    def _gain(self, seen: _Seen, T_here_there: F64, image: RgbdImage, wanted: Bool) -> F32:
+    def _gain(self, seen: _KeyframeImage, T_here_there: F64, image: RgbdImage, wanted: Bool) -> F32:
         """Return what a keyframe's red, green and blue are multiplied by (3,)."""
         if not self.config.match_brightness:
             return np.ones(3, dtype=np.float32)

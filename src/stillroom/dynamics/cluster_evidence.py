@@ -22,7 +22,7 @@ STAYS, MOVES, MOVES_IN_BOX = 0, 1, 2
 
 
 @dataclass(frozen=True)
-class Samples:
+class ClusterSamples:
     """S points of an image that lie on its clusters.
 
     Attributes:
@@ -50,15 +50,15 @@ class Sampler:
         """Rays are found at the first image."""
         self._camera: Camera | None = None
         self._rays = np.zeros((0, 0, 2))
-        self._last: tuple[Clusters, Samples] | None = None
+        self._last: tuple[Clusters, ClusterSamples] | None = None
 
-    def take(self, frame: Frame, clusters: Clusters) -> Samples:
+    def take(self, frame: Frame, clusters: Clusters) -> ClusterSamples:
         """Return the samples of a frame; asked again for the same clusters, the same ones."""
         if self._last is None or self._last[0] is not clusters:
             self._last = (clusters, self._take(frame, clusters))
         return self._last[1]
 
-    def _take(self, frame: Frame, clusters: Clusters) -> Samples:
+    def _take(self, frame: Frame, clusters: Clusters) -> ClusterSamples:
         height, width = clusters.labels.shape
         if self._camera is not frame.camera or self._rays.shape[:2] != (-(-height // STEP_PX), -(-width // STEP_PX)):
             self._camera, self._rays = frame.camera, _rays(frame.camera, height, width)
@@ -66,7 +66,7 @@ class Sampler:
         depth_m = frame.image.depth_m[::STEP_PX, ::STEP_PX].astype(np.float64)
         on = (labels >= 0) & (depth_m > 0)
         z = depth_m[on][:, None]
-        return Samples(labels[on].astype(np.int64), np.hstack((self._rays[on] * z, z)))
+        return ClusterSamples(labels[on].astype(np.int64), np.hstack((self._rays[on] * z, z)))
 
 
 def _rays(camera: Camera, height: int, width: int) -> F64:
@@ -102,7 +102,7 @@ class Belief:
         self._fades_in_s, self._reach_m = fades_in_s, reach_m
         self._last: _Image | None = None
 
-    def of(self, samples: Samples, n_clusters: int, T_cam_world: F64, camera: Camera, now_s: float) -> F64:
+    def of(self, samples: ClusterSamples, n_clusters: int, T_cam_world: F64, camera: Camera, now_s: float) -> F64:
         """Return what each cluster (K,) inherits; 0 for those that were not seen."""
         last = self._last
         if last is None or len(samples.cluster) == 0:

@@ -10,9 +10,9 @@ from stillroom.data.frame import Frame
 from stillroom.data.motion import Motion, Stage
 from stillroom.data.question import Question
 from stillroom.dynamics.asking import ImageMemory
-from stillroom.dynamics.cluster_evidence import Belief, MovingPixels, Sampler, Samples
+from stillroom.dynamics.cluster_evidence import Belief, ClusterSamples, MovingPixels, Sampler
 from stillroom.dynamics.depth_history import DepthHistory, DepthHistoryConfig
-from stillroom.dynamics.epipolar import EpipolarConfig
+from stillroom.dynamics.epipolar_sieve import EpipolarConfig
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64
 from stillroom.geometry.pixels import values_at
@@ -142,7 +142,7 @@ class ClusterSieve:
             past = self._past.keep(frame.image, T_cam_world, _Past(inherited, failing))
         return past
 
-    def _failing_points(self, frame: Frame, clusters: Clusters, samples: Samples, T_cam_world: F64) -> F64:
+    def _failing_points(self, frame: Frame, clusters: Clusters, samples: ClusterSamples, T_cam_world: F64) -> F64:
         """Return the share (K,) of each cluster's points that lie where it was empty before; ½ where unknown."""
         evidence = self._history.evidence(frame.camera, samples.in_world(T_cam_world), frame.timestamp_s)
         fails = evidence.empty > 0

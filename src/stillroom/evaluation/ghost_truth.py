@@ -96,7 +96,7 @@ class TrueScene:
 
 
 @dataclass(frozen=True)
-class TruthConfig:
+class GhostTruthConfig:
     """When a point is a ghost.
 
     Attributes:
@@ -110,7 +110,7 @@ class TruthConfig:
 
 
 def ghosts_by_truth(
-    points_m: Floats, scene: TrueScene, config: TruthConfig | None = None
+    points_m: Floats, scene: TrueScene, config: GhostTruthConfig | None = None
 ) -> tuple[GhostFigure, SurfaceFigure]:
     """Find the points of a map that are off the static surface where a mover was, and how exact the others are.
 
@@ -119,7 +119,7 @@ def ghosts_by_truth(
         scene: What the renderer knows.
         config: When a point is a ghost.
     """
-    config = config or TruthConfig()
+    config = config or GhostTruthConfig()
     error_m = distances_to_patches_m(points_m, scene.patches_m, scene.is_triangle)
     is_off = error_m > config.off_m
     is_ghost = np.zeros(len(points_m), dtype=np.bool_)

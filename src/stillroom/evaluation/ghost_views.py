@@ -30,7 +30,7 @@ class DepthView:
 
 
 @dataclass(frozen=True)
-class Sightings:
+class DepthSightings:
     """What several depth images say of N points.
 
     Attributes:
@@ -49,7 +49,7 @@ def sightings(
     tolerance_m: float,
     tolerance_share: float,
     reach_px: int = 1,
-) -> Sightings:
+) -> DepthSightings:
     """Ask every view about every point.
 
     Depth images are wrong by a pixel or two where one thing ends before another, and poses by as much. So a view
@@ -68,7 +68,7 @@ def sightings(
     agree, passed = np.zeros(len(points), dtype=np.int32), np.zeros(len(points), dtype=np.int32)
     for view in views:
         _ask(_taken(view, camera), points, tolerance_m, tolerance_share, reach_px, agree, passed)
-    return Sightings(agree, passed)
+    return DepthSightings(agree, passed)
 
 
 def settled(

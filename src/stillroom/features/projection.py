@@ -62,7 +62,7 @@ class _Viewer(NamedTuple):
     n_levels: int
 
 
-class _Seen(NamedTuple):
+class _Projected(NamedTuple):
     """`Projection` as the kernel writes it."""
 
     px: F32
@@ -78,7 +78,7 @@ def project_points(
 ) -> Projection:
     """Project points with their viewing geometry into a camera at `T_cam_world` (4, 4)."""
     n = len(points.position_m)
-    seen = _Seen(
+    seen = _Projected(
         np.zeros((n, 2), np.float32),
         np.zeros(n, np.float32),
         np.zeros(n, np.int32),
@@ -99,7 +99,7 @@ def project_points(
 
 
 @njit(nogil=True, cache=True)
-def _project(viewer: _Viewer, points: PointGeometry, min_view_cos: float, seen: _Seen) -> None:
+def _project(viewer: _Viewer, points: PointGeometry, min_view_cos: float, seen: _Projected) -> None:
     T, lens, bf, bounds_px, log_factor, n_levels = viewer
     position_m, normals, min_distance_m, max_distance_m = points
     px, right_px, octave, view_cos, depth_m, visible = seen
@@ -151,7 +151,7 @@ class Window:
 
 
 @dataclass(frozen=True)
-class Sightings:
+class ProjectionMatches:
     """What a search around projections found.
 
     Attributes:
@@ -188,7 +188,7 @@ def keyframe_targets(keyframe: int, world: Map) -> Targets:
 
 def search_around(
     ids: I32, T_cam_world: F64, camera: Camera, world: Map, targets: Targets, window: Window
-) -> Sightings:
+) -> ProjectionMatches:
     """Look for points (P,) of a map where they should be under a pose (4, 4).
 
     Args:
@@ -213,4 +213,4 @@ def search_around(
         world.points.descriptors[visible],
     )
     query, target = search_windows(queries, targets, max_bits=window.max_bits, ratio=window.ratio)
-    return Sightings(visible, visible[query], target, queries.px[query], queries.right_px[query])
+    return ProjectionMatches(visible, visible[query], target, queries.px[query], queries.right_px[query])

@@ -6,7 +6,7 @@ from stillroom.dynamics.chain import KeepAllKeypointsConfig
 from stillroom.dynamics.multiview.multiview_sieve import MultiViewConfig
 from stillroom.methods import dynaslam
 from stillroom.methods.method import Method
-from stillroom.semantics.nothing import NothingConfig
+from stillroom.semantics.no_segmenter import NothingConfig
 
 METHOD = Method(
     name="dynaslam-g",

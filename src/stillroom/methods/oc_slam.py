@@ -1,8 +1,8 @@
 """OC-SLAM: YOLO-Fastest's boxes and the clusters of the depth cloud, and what of them moves.
 
 Differs from the paper: epipolar lines are taken from the tracked pose and helped by depth, what lies in a box counts as
-moving until shown to be static (`dynamics/epipolar.py`), and a cluster is judged by depth as well as by its matches,
-over more than one image (`dynamics/cluster_sieve.py`). The paper's literal rule is
+moving until shown to be static (`dynamics/epipolar_sieve.py`), and a cluster is judged by depth as well as by its
+matches, over more than one image (`dynamics/cluster_sieve.py`). The paper's literal rule is
 `--set dynamics.kind=paper-epipolar`; boxes without clusters are `--set clusters.kind=nothing`.
 """
 

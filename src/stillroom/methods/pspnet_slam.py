@@ -3,7 +3,7 @@
 Differs from the paper: a homography alone cannot explain a room with depth, so the camera's motion in space, which
 depth gives, may explain a point as well (`dynamics/homography/homography_sieve.py`). The paper's literal rule is
 `--set dynamics.first.test.use_depth=false --set dynamics.first.earlier_s=0`. What is not movable by its class is
-dynamic when its segment moves against the scene; the paper says no more than that (`dynamics/segments.py`).
+dynamic when its segment moves against the scene; the paper says no more than that (`dynamics/segment_sieve.py`).
 """
 
 from stillroom.config import SlamConfig
@@ -11,7 +11,7 @@ from stillroom.config.kinds import ChainConfig
 from stillroom.dense.dense_mapper import DenseMapperConfig
 from stillroom.dynamics.homography.homography_sieve import CompensatedHomographyConfig
 from stillroom.dynamics.masked_keypoints import MaskedKeypointsConfig
-from stillroom.dynamics.segments import MovedSegmentsConfig
+from stillroom.dynamics.segment_sieve import MovedSegmentsConfig
 from stillroom.methods.method import Method
 from stillroom.semantics.depth_clusters import DepthClustersConfig
 from stillroom.semantics.masks.pspnet import PspNetConfig

@@ -1,15 +1,15 @@
 """A run from input to results folder, and the evaluation of what lies there. `run` is a table of contents."""
 
-from stillroom.pipeline.evaluating import Judged, evaluate_files, evaluate_folder
+from stillroom.pipeline.evaluating import EvaluatedTrajectory, evaluate_files, evaluate_folder
 from stillroom.pipeline.options import RunOptions, RunOutcome, Source
-from stillroom.pipeline.run import SILENT, Progress, run
+from stillroom.pipeline.run import SILENT, RunProgress, run
 
 __all__ = [
     "SILENT",
-    "Judged",
-    "Progress",
+    "EvaluatedTrajectory",
     "RunOptions",
     "RunOutcome",
+    "RunProgress",
     "Source",
     "evaluate_files",
     "evaluate_folder",

@@ -15,7 +15,7 @@ log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
-class Judged:
+class EvaluatedTrajectory:
     """A trajectory with its figures.
 
     Attributes:
@@ -42,7 +42,7 @@ def evaluate_trajectory(trajectory: Trajectory, truth: results.Truth | None, n_g
         return None
 
 
-def evaluate_folder(path: Path, baseline: Path | None = None, write: bool = True) -> Judged:
+def evaluate_folder(path: Path, baseline: Path | None = None, write: bool = True) -> EvaluatedTrajectory:
     """Measure the run of a results folder again; its metrics.json and pictures are made again.
 
     Args:
@@ -61,14 +61,16 @@ def evaluate_folder(path: Path, baseline: Path | None = None, write: bool = True
         evaluation = evaluation.against(other_evaluation, other.name)
         trajectories[other.name] = other_trajectory
     if not write:
-        return Judged(folder.name, None, evaluation)
+        return EvaluatedTrajectory(folder.name, None, evaluation)
     run = results.read_run_figures(folder)
     results.write_metrics(folder, evaluation.n_tracked, evaluation.n_given, evaluation, run)
     pictures = draw_plots(folder / results.PICTURES, trajectories, truth.as_given, folder.name)
-    return Judged(folder.name, folder, evaluation, pictures)
+    return EvaluatedTrajectory(folder.name, folder, evaluation, pictures)
 
 
-def evaluate_files(estimate: Path, truth: results.Truth, folder: Path | None, baseline: Path | None = None) -> Judged:
+def evaluate_files(
+    estimate: Path, truth: results.Truth, folder: Path | None, baseline: Path | None = None
+) -> EvaluatedTrajectory:
     """Measure anyone's trajectory.
 
     Args:
@@ -89,10 +91,10 @@ def evaluate_files(estimate: Path, truth: results.Truth, folder: Path | None, ba
         evaluation = evaluation.against(figures, str(baseline))
         trajectories[str(baseline)] = other
     if folder is None:
-        return Judged(estimate.stem, None, evaluation)
+        return EvaluatedTrajectory(estimate.stem, None, evaluation)
     results.write_metrics(folder, evaluation.n_tracked, None, evaluation, None)
     pictures = draw_plots(folder, trajectories, truth.as_given, estimate.stem)
-    return Judged(estimate.stem, folder, evaluation, pictures)
+    return EvaluatedTrajectory(estimate.stem, folder, evaluation, pictures)
 
 
 def _measured(path: Path) -> tuple[Path, Trajectory, results.Truth, Evaluation]:

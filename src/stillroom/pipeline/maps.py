@@ -10,7 +10,7 @@ from stillroom.config import SlamConfig, to_toml
 from stillroom.data.clouds import DenseCloud
 from stillroom.data.map import Map
 from stillroom.dense.dense_mapper import DenseMapperConfig
-from stillroom.dense.nothing import NoDenseMapConfig
+from stillroom.dense.no_dense_map import NoDenseMapConfig
 from stillroom.errors import MapError
 from stillroom.features.places.vocabulary import load_vocabulary
 from stillroom.geometry.camera import Camera

@@ -28,7 +28,7 @@ from stillroom.protocols import Dataset, RunObserver
 from stillroom.semantics.detector import withhold
 from stillroom.semantics.mask_files import MaskFilesConfig
 from stillroom.system import build, segmenter_of
-from stillroom.viz.nothing import Nothing
+from stillroom.viz.no_observer import NoObserver
 from stillroom.viz.recorder import PictureRecorderConfig
 
 log = logging.getLogger(__name__)
@@ -98,7 +98,7 @@ class StopRequest:
 # Who is told how a run gets on, and what the log says of it.
 
 
-class Progress(Protocol):
+class RunProgress(Protocol):
     """Is told of each frame, such as by a progress bar."""
 
     def start(self, n_frames: int) -> None:
@@ -162,7 +162,7 @@ class Remarks:
 
 
 def run(
-    dataset: Dataset, config: SlamConfig, options: RunOptions | None = None, progress: Progress = SILENT
+    dataset: Dataset, config: SlamConfig, options: RunOptions | None = None, progress: RunProgress = SILENT
 ) -> RunOutcome:
     """Track every image of a sequence, write the results, and measure them against the ground truth.
 
@@ -188,7 +188,7 @@ def run(
 
 
 def _run(
-    dataset: Dataset, config: SlamConfig, options: RunOptions, progress: Progress, opened: OpenedMap
+    dataset: Dataset, config: SlamConfig, options: RunOptions, progress: RunProgress, opened: OpenedMap
 ) -> RunOutcome:
     clock, newest = StageClock(), _Newest()
     segmenter = withhold(options.segmenter or segmenter_of(config, dataset.camera), options.detector_off)
@@ -234,7 +234,7 @@ def _track_all(
     stop: StopRequest,
     newest: "_Newest",
     onlookers: list[RunObserver],
-    progress: Progress,
+    progress: RunProgress,
 ) -> None:
     slam, clock, remarks = outcome.slam, outcome.clock, Remarks()
     for place in range(len(dataset)):
@@ -305,7 +305,7 @@ def _folder(dataset: Dataset, config: SlamConfig, options: RunOptions) -> Path |
 
 def _recorder(folder: Path | None, dataset: Dataset, n_pictures: int) -> RunObserver:
     if folder is None or n_pictures <= 0:
-        return Nothing()
+        return NoObserver()
     numbers = dataset.numbers
     # The middles of equal parts: neither the first frame, on which nothing is known yet, nor the last.
     places = (np.arange(n_pictures) + 0.5) * len(numbers) / n_pictures

@@ -15,8 +15,14 @@ from stillroom.data.semantics import Semantics, boxes_xyxy_px
 from stillroom.geometry.arrays import F32
 from stillroom.geometry.camera import Camera
 from stillroom.geometry.cloud.backproject import RayGrid, back_project, ray_grid
+from stillroom.geometry.cloud.cloud_segments import (
+    CloudSegments,
+    SegmentLimits,
+    claim_foregrounds,
+    segment,
+    spread_labels,
+)
 from stillroom.geometry.cloud.planes import PlaneLimits, Planes, find_planes
-from stillroom.geometry.cloud.segments import SegmentLimits, Segments, claim_foregrounds, segment, spread_labels
 from stillroom.protocols import Parts, Pending
 
 
@@ -115,7 +121,7 @@ class DepthClusterer:
             self._grid = (height, width, ray_grid(self._camera, height, width, self.config.stride))
         return self._grid[2]
 
-    def _noun(self, image: RgbdImage, grid: RayGrid, points_m: F32, planes: Planes, found: Segments) -> Clusters:
+    def _noun(self, image: RgbdImage, grid: RayGrid, points_m: F32, planes: Planes, found: CloudSegments) -> Clusters:
         """Return the clusters with their label image."""
         labels = np.where(planes.plane_of >= 0, PLANE, np.where(found.segment_of >= 0, found.segment_of, UNKNOWN))
         limits = self.config.segments

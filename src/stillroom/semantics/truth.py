@@ -11,7 +11,7 @@ from stillroom.semantics.detector import EachFrameAlone
 
 
 @dataclass(frozen=True)
-class TruthConfig:
+class TrueSemanticsConfig:
     """Which part of the truth is told.
 
     Attributes:

@@ -10,9 +10,9 @@ from stillroom.protocols import Parts, Segmenter
 from stillroom.semantics.carried_boxes import CarriedBoxes, CarryConfig
 from stillroom.semantics.detector import EachFrameAlone
 from stillroom.semantics.onnx.darknet import DarknetFile
-from stillroom.semantics.onnx.detector import DetectionNetwork, OnnxDetector, Reading
-from stillroom.semantics.onnx.layouts import Asked
-from stillroom.semantics.onnx.session import find_model, open_content
+from stillroom.semantics.onnx.layouts import DetectionRequest
+from stillroom.semantics.onnx.onnx_detector import DetectionNetwork, DetectorInput, OnnxDetector
+from stillroom.semantics.onnx.onnx_session import find_model, open_content
 
 SHIPPED = {"1.1": "yolo_fastest_1.1_coco.onnx", "1.1-xl": "yolo_fastest_1.1_xl_coco.onnx"}
 
@@ -56,8 +56,8 @@ class YoloFastestConfig:
         file = self._file()
         chosen = [self._number(name, file) for name in self.movable]
         # The input is RGB in 0–255, stretched.
-        network = DetectionNetwork(open_content(file.cut_to(chosen), file.path), file.path, Reading())
-        heads = file.layout(Asked(file.path, len(chosen), range(len(chosen)), confidence))
+        network = DetectionNetwork(open_content(file.cut_to(chosen), file.path), file.path, DetectorInput())
+        heads = file.layout(DetectionRequest(file.path, len(chosen), range(len(chosen)), confidence))
         return OnnxDetector(network, heads, self.movable, self.nms_iou)
 
     def _file(self) -> DarknetFile:

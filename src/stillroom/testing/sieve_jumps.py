@@ -57,7 +57,7 @@ def check_follows_jumps(build: Callable[[Parts], MatchSieve], dataset: Dataset |
     """
     dataset = dataset or select(open_dataset(WALKING), FRAMES)
     first = dataset.load(0).index
-    tracking = _Tracking(build, jump_at=first + len(dataset) // 2)
+    tracking = _JumpingTracking(build, jump_at=first + len(dataset) // 2)
     slam = build_slam(SlamConfig(dynamics=tracking), dataset.camera, _OneBoxAndClusters(dataset.camera))
     for place in range(len(dataset)):
         slam.process(dataset.load(place))
@@ -78,7 +78,7 @@ class _OneBoxAndClusters:
         return Semantics(image.height, image.width, image.truth.boxes[:1], clusters=clusters)
 
 
-class _Tracking:
+class _JumpingTracking:
     """Sits in the tracker's socket, puts each of its questions to the sieve, and to a twin after the map jumped."""
 
     def __init__(self, build: Callable[[Parts], MatchSieve], jump_at: int) -> None:

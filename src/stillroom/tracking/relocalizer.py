@@ -63,7 +63,7 @@ class RecognitionConfig:
 
 
 @dataclass(frozen=True)
-class Found:
+class RecognizedPose:
     """A pose and what agrees with it.
 
     Attributes:
@@ -88,7 +88,7 @@ class Recognizer:
         self.config, self.seed = config, seed
         self._optimize = config.pose.build()
 
-    def recognise(self, frame: Frame, bag: Bag, keyframe: int, nodes: I32, world: Map) -> Found | None:
+    def recognise(self, frame: Frame, bag: Bag, keyframe: int, nodes: I32, world: Map) -> RecognizedPose | None:
         """Return the pose of a frame by the points of a keyframe and its neighbours; None where too few agree.
 
         Differs from ORB-SLAM2: the guided search looks for the points of the keyframe's neighbours too.
@@ -120,7 +120,7 @@ class Recognizer:
             found = self._search(frame, found, surroundings, config.narrow_px, config.narrow_bits, world)
         return found if found.n_inliers >= config.min_inliers else None
 
-    def fit(self, frame: Frame, T_cam_world: F64, matches: Matches, world: Map) -> Found:
+    def fit(self, frame: Frame, T_cam_world: F64, matches: Matches, world: Map) -> RecognizedPose:
         """Optimise a pose (4, 4) over matches, and keep those that agree with it."""
         keypoints = frame.keypoints
         right_px = keypoints.right_px[matches.keypoint]
@@ -134,9 +134,11 @@ class Recognizer:
         inlier = estimate.is_inlier
         point_ids = np.full(len(frame), -1, dtype=np.int32)
         point_ids[matches.keypoint[inlier]] = matches.point_id[inlier]
-        return Found(estimate.T_cam_world, point_ids)
+        return RecognizedPose(estimate.T_cam_world, point_ids)
 
-    def _search(self, frame: Frame, found: Found, ids: I32, radius_px: float, max_bits: int, world: Map) -> Found:
+    def _search(
+        self, frame: Frame, found: RecognizedPose, ids: I32, radius_px: float, max_bits: int, world: Map
+    ) -> RecognizedPose:
         """Look for more of the points (P,) where the pose says they are, and fit it to all of them."""
         missing = ids[~np.isin(ids, found.point_ids)]
         more = around_projections(
@@ -278,14 +280,14 @@ class Relocalizer:
             T_cam_world, inlier = solved
             point_ids = np.full(len(tracked.frame), -1, dtype=np.int32)
             point_ids[matches.keypoint[inlier]] = matches.point_id[inlier]
-            found = Found(T_cam_world, point_ids)
+            found = RecognizedPose(T_cam_world, point_ids)
             located = self._located(tracked, found, semantics, world, Recovery.LAST_KEYFRAMES)
             if located is not None:
                 return located
         return None
 
     def _located(
-        self, tracked: Tracked, found: Found, semantics: Pending[Semantics], world: Map, recovery: Recovery
+        self, tracked: Tracked, found: RecognizedPose, semantics: Pending[Semantics], world: Map, recovery: Recovery
     ) -> Tracked | None:
         """Return the frame under a pose that its local map confirms."""
         located = self.tracker.locate(tracked.frame, found.T_cam_world, found.point_ids, semantics, world, recovery)

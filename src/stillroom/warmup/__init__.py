@@ -4,6 +4,6 @@ Numba compiles a kernel when it is first called, which takes two minutes or so f
 code in the folder `NUMBA_CACHE_DIR`: by default `stillroom/numba` in the user's cache.
 """
 
-from stillroom.warmup.kernels import WarmUp, WarmUpProgress, is_warm, kernel_cache, kernels, warm_up
+from stillroom.warmup.all_kernels import WarmUp, WarmUpProgress, is_warm, kernel_cache, kernels, warm_up
 
 __all__ = ["WarmUp", "WarmUpProgress", "is_warm", "kernel_cache", "kernels", "warm_up"]

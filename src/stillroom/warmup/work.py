@@ -36,7 +36,7 @@ from stillroom.optimize.bundle_kernels import Blocks, Order
 from stillroom.optimize.reduced_system import SparseSystem
 from stillroom.protocols import MatchSieve, Parts
 from stillroom.semantics.depth_clusters import DepthClustersConfig
-from stillroom.semantics.truth import TruthConfig
+from stillroom.semantics.truth import TrueSemanticsConfig
 from stillroom.system import Slam, build
 from stillroom.viz.cloud.render import CloudRendererConfig
 from stillroom.viz.cloud.view import default_view
@@ -119,7 +119,10 @@ def do_everything() -> None:
 def track() -> Slam:
     """Track the scene; the detector is replaced by one that finds the box."""
     config = SlamConfig(
-        semantics=TruthConfig(), clusters=DepthClustersConfig(), dynamics=EverySieveConfig(), dense=DenseMapperConfig()
+        semantics=TrueSemanticsConfig(),
+        clusters=DepthClustersConfig(),
+        dynamics=EverySieveConfig(),
+        dense=DenseMapperConfig(),
     )
     slam = build(config, CAMERA)
     for image in images():

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from small_world import CAMERA, pose
 
-from stillroom.dynamics.multiview.geometry import offsets, rays_of
-from stillroom.dynamics.multiview.kernels import (
+from stillroom.dynamics.multiview.multiview_geometry import offsets, rays_of
+from stillroom.dynamics.multiview.multiview_kernels import (
     AGREES,
     BORDER,
     DYNAMIC,
@@ -21,9 +21,9 @@ from stillroom.dynamics.multiview.kernels import (
     UNSEEN,
     Growth,
     Here,
-    Judged,
     Limits,
     Points,
+    PointVerdicts,
     There,
     grow,
     judge_points,
@@ -136,7 +136,7 @@ def test_a_point_is_judged_as_by_plain_words(camera: Camera) -> None:
     here, there, points, small_m, depth_m = scene(camera, n)
     project(points, there, here.lens, camera.height, camera.width)
     verdict, before_px = np.full(n, UNSEEN, np.uint8), np.full((n, 2), -1, np.int32)
-    judge_points(np.arange(n), points, here, there, WINDOW, LIMITS, Judged(verdict, before_px))
+    judge_points(np.arange(n), points, here, there, WINDOW, LIMITS, PointVerdicts(verdict, before_px))
     expected = np.empty(n, np.uint8)
     for i in range(n):
         k = points.seen_in[i]
@@ -157,9 +157,9 @@ def test_only_chosen_points_are_judged() -> None:
     project(points, there, here.lens, CAMERA.height, CAMERA.width)
     everything, some = np.full(500, 99, np.uint8), np.full(500, 99, np.uint8)
     before_px = np.full((500, 2), -1, np.int32)
-    judge_points(np.arange(500), points, here, there, WINDOW, LIMITS, Judged(everything, before_px))
+    judge_points(np.arange(500), points, here, there, WINDOW, LIMITS, PointVerdicts(everything, before_px))
     chosen = np.arange(3, 500, 7)
-    judge_points(chosen, points, here, there, WINDOW, LIMITS, Judged(some, before_px))
+    judge_points(chosen, points, here, there, WINDOW, LIMITS, PointVerdicts(some, before_px))
     np.testing.assert_array_equal(some[chosen], everything[chosen])
     assert np.all(np.delete(some, chosen) == 99)
 

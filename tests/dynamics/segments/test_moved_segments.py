@@ -18,7 +18,7 @@ from stillroom.data.result import FrameResult, Tracked
 from stillroom.data.semantics import Semantics
 from stillroom.datasets.open import open_dataset
 from stillroom.datasets.selection import select
-from stillroom.dynamics.segments import MovedSegments, MovedSegmentsConfig, spread
+from stillroom.dynamics.segment_sieve import MovedSegments, MovedSegmentsConfig, spread
 from stillroom.errors import ConfigError
 from stillroom.methods.registry import configure
 from stillroom.system import build

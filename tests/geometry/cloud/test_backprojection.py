@@ -6,7 +6,7 @@ import pytest
 
 from stillroom.geometry.camera import Camera
 from stillroom.geometry.cloud.backproject import back_project, ray_grid
-from stillroom.geometry.cloud.segments import spread_labels
+from stillroom.geometry.cloud.cloud_segments import spread_labels
 from stillroom.geometry.cloud.voxels import voxel_filter
 
 CAMERA = Camera(160, 120, 130.0, 131.0, 79.0, 60.5, distortion=(0.05, -0.1, 0.001, -0.001, 0.02))

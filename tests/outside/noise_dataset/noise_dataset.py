@@ -3,7 +3,7 @@
 import numpy as np
 
 from stillroom.data.image import RgbdImage
-from stillroom.datasets.kind import Asked, DatasetKind
+from stillroom.datasets.kind import DatasetKind, SequenceRequest
 from stillroom.datasets.recording import Recording
 from stillroom.errors import DatasetError
 from stillroom.geometry.camera import Camera
@@ -32,11 +32,11 @@ class Noise(Recording):
         return RgbdImage(index, float(self.timestamps_s[index]), rgb, depth_m)
 
 
-def recognises(asked: Asked) -> bool:
+def recognises(asked: SequenceRequest) -> bool:
     return asked.prefix == "noise" or (asked.folder is not None and (asked.folder / LIST_NAME).is_file())
 
 
-def open_noise(asked: Asked, camera: str | None, fps: float | None) -> Dataset:
+def open_noise(asked: SequenceRequest, camera: str | None, fps: float | None) -> Dataset:
     text = asked.text.partition(":")[2] if asked.folder is None else (asked.folder / LIST_NAME).read_text()
     if not text.strip().isdecimal() or int(text) == 0:
         raise DatasetError(f"{asked.text}: '{text.strip()}' is no number of images; write it like noise:12")

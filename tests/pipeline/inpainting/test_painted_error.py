@@ -7,7 +7,7 @@ import pytest
 
 from stillroom.datasets.open import open_dataset
 from stillroom.datasets.selection import select
-from stillroom.pipeline.inpainting import painted_error
+from stillroom.pipeline.inpainted_sequence import painted_error
 from stillroom.testing.tiny_sequence import write_tiny_sequence
 
 ROOM = "synthetic:walking,frames=12"

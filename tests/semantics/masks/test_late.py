@@ -11,8 +11,8 @@ from stillroom.data.image import RgbdImage
 from stillroom.data.semantics import Semantics
 from stillroom.datasets.open import open_dataset
 from stillroom.semantics.masks.carried_masks import LateMasks, MaskCarryConfig
+from stillroom.semantics.masks.mask_segments import HalfImage, MaskSegments
 from stillroom.semantics.masks.refine import RefineConfig, refined
-from stillroom.semantics.masks.segments import HalfImage, Segments
 
 Share = tuple[float, float, float]
 
@@ -92,11 +92,11 @@ def test_people_who_come_later_are_known_as_soon_as_the_answer_is(model: Path, i
 # The border
 
 
-def blurred(truth: np.ndarray, threshold: float) -> Segments:
+def blurred(truth: np.ndarray, threshold: float) -> MaskSegments:
     """Return a mask as a network of output stride 16 tells it, too large or too small by the threshold."""
     coarse = cv2.resize(truth.astype(np.float32), (40, 30), interpolation=cv2.INTER_AREA)
     likely = cv2.resize(coarse, (320, 240), interpolation=cv2.INTER_LINEAR)
-    return Segments((likely >= threshold).astype(np.uint8), likely)
+    return MaskSegments((likely >= threshold).astype(np.uint8), likely)
 
 
 @pytest.mark.parametrize(("threshold", "gain"), [(0.2, 0.05), (0.5, 0.005), (0.8, 0.05)])
@@ -111,7 +111,7 @@ def test_depth_mends_the_border(threshold: float, gain: float, images: list[Rgbd
 
 def plain(depth_m: np.ndarray, mask: np.ndarray) -> np.ndarray:
     likely = mask.astype(np.float32)
-    return refined(Segments(mask.astype(np.uint8), likely), depth_m.astype(np.float32), RefineConfig()).mask
+    return refined(MaskSegments(mask.astype(np.uint8), likely), depth_m.astype(np.float32), RefineConfig()).mask
 
 
 def test_the_border_moves_to_the_jump_and_no_farther_than_the_band() -> None:
@@ -133,8 +133,8 @@ def test_where_depth_does_not_jump_or_is_unknown_the_network_has_the_last_word()
 
 
 def test_a_mask_of_nothing_costs_no_flow(monkeypatch: pytest.MonkeyPatch, images: list[RgbdImage]) -> None:
-    def see(image: RgbdImage, view: HalfImage) -> Segments:
-        return Segments(np.zeros(view.shape, np.uint8), np.zeros(view.shape, np.float32))
+    def see(image: RgbdImage, view: HalfImage) -> MaskSegments:
+        return MaskSegments(np.zeros(view.shape, np.uint8), np.zeros(view.shape, np.float32))
 
     def fail(*_: object) -> None:
         raise AssertionError("flow was measured")

@@ -13,7 +13,7 @@ from stillroom.geometry import se3
 from stillroom.geometry.camera import Camera
 from stillroom.viz.cloud.render import GAP_PX, CloudRendererConfig, creases, draw_dense_pair, fill_gaps
 from stillroom.viz.cloud.splat import splat
-from stillroom.viz.cloud.view import View, default_view
+from stillroom.viz.cloud.view import Viewpoint, default_view
 
 CAMERA = Camera(240, 160, 200.0, 200.0, 119.5, 79.5)
 RENDERER = CloudRendererConfig().build()
@@ -37,7 +37,7 @@ def test_a_cubes_faces_land_where_they_project() -> None:
         ((p - center) @ T_view_cube[:3, :3].T + center, n @ T_view_cube[:3, :3].T, c)
         for p, n, c in cube(center, edge_m, CRATE)
     ]
-    picture = RENDERER.render(assemble(faces), View(np.eye(4), CAMERA))
+    picture = RENDERER.render(assemble(faces), Viewpoint(np.eye(4), CAMERA))
     corners_m = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * edge_m / 2
     px = CAMERA.project(corners_m @ T_view_cube[:3, :3].T + center)
     hull = cv2.convexHull(np.rint(px).astype(np.int32))
@@ -51,13 +51,13 @@ def test_a_cubes_faces_land_where_they_project() -> None:
 def test_a_face_seen_head_on_is_brighter_than_a_slanted_one() -> None:
     head_on = assemble([sheet((-2, -2, 3), (4, 0, 0), (0, 4, 0), (0, 0, -1), (150, 150, 150))])
     slanted = assemble([sheet((-1, -2, 2), (2, 0, 3), (0, 4, 0), (3, 0, -2) / np.sqrt(13), (150, 150, 150))])
-    bright, dark = (RENDERER.render(cloud, View(np.eye(4), CAMERA))[80, 120, 0] for cloud in (head_on, slanted))
+    bright, dark = (RENDERER.render(cloud, Viewpoint(np.eye(4), CAMERA))[80, 120, 0] for cloud in (head_on, slanted))
     assert bright == pytest.approx(150 * 1.15, abs=3)
     assert dark < bright - 10
 
 
 def test_an_empty_cloud_is_the_background() -> None:
-    picture = RENDERER.render(EMPTY, View(np.eye(4), CAMERA))
+    picture = RENDERER.render(EMPTY, Viewpoint(np.eye(4), CAMERA))
     config = CloudRendererConfig()
     assert picture.shape == (160, 240, 3)
     assert picture.dtype == np.uint8
@@ -77,7 +77,7 @@ def test_the_same_cloud_gives_the_same_picture(room: DenseCloud, poses: np.ndarr
 
 def test_edges_are_smooth_where_pixels_are_means() -> None:
     cloud = assemble(cube((0.0, 0.0, 3.0), 0.8, (0, 0, 0)))
-    view = View(np.eye(4), CAMERA)
+    view = Viewpoint(np.eye(4), CAMERA)
     shades = [len(np.unique(CloudRendererConfig(supersampling=n).build().render(cloud, view)[80])) for n in (1, 4)]
     assert shades[1] > shades[0]
 
@@ -86,7 +86,7 @@ def test_narrow_gaps_are_filled_and_wide_ones_left() -> None:
     left = sheet((-1.0, -0.5, 2), (0.9, 0, 0), (0, 1, 0), (0, 0, -1), FLOOR)
     for gap_m, filled in ((0.2, True), (0.5, False)):
         right = sheet((-0.1 + gap_m, -0.5, 2), (0.9, 0, 0), (0, 1, 0), (0, 0, -1), FLOOR)
-        splats = splat(assemble([left, right]), View(np.eye(4), CAMERA), 0.06)
+        splats = splat(assemble([left, right]), Viewpoint(np.eye(4), CAMERA), 0.06)
         column = round(119.5 + 200 * (-0.1 + gap_m / 2) / 2)
         assert splats.nearest[80, column] < 0
         whole, covered = fill_gaps(splats, 15)
@@ -130,7 +130,7 @@ def test_the_pair_shows_the_crate_only_where_it_is(room: DenseCloud, poses: np.n
 
 def test_the_pair_takes_a_view_and_names_a_place_it_cannot_write(room, poses, tmp_path: Path) -> None:
     (tmp_path / "taken").write_text("")
-    view = View(np.eye(4), CAMERA)
+    view = Viewpoint(np.eye(4), CAMERA)
     with pytest.raises(StillroomError, match=r"taken/.*cannot be written"):
         draw_dense_pair(tmp_path / "taken" / "pair.png", room, room, poses, view=view)
     draw_dense_pair(tmp_path / "pair.png", EMPTY, room, poses, view=view)

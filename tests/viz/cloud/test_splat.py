@@ -7,10 +7,10 @@ from stillroom.data.clouds import DenseCloud
 from stillroom.geometry import se3
 from stillroom.geometry.camera import Camera
 from stillroom.viz.cloud.splat import splat
-from stillroom.viz.cloud.view import View
+from stillroom.viz.cloud.view import Viewpoint
 
 CAMERA = Camera(96, 64, 80.0, 80.0, 47.5, 31.5)
-AT_ORIGIN = View(np.eye(4), CAMERA)
+AT_ORIGIN = Viewpoint(np.eye(4), CAMERA)
 
 
 def cloud_of(positions_m: np.ndarray, normals: np.ndarray, rgb: np.ndarray, voxel_m: float = 0.02) -> DenseCloud:
@@ -32,7 +32,7 @@ def random_cloud(n: int, seed: int = 0) -> DenseCloud:
     return cloud_of(positions_m, normals, rng.integers(0, 256, (n, 3)))
 
 
-def plain_z_buffer(cloud: DenseCloud, view: View, radius_m: float) -> tuple[np.ndarray, np.ndarray]:
+def plain_z_buffer(cloud: DenseCloud, view: Viewpoint, radius_m: float) -> tuple[np.ndarray, np.ndarray]:
     """Depth and nearest index by testing every pixel's ray against every disc that faces the eye."""
     c = view.camera
     T_view_world = np.linalg.inv(view.T_world_cam)
@@ -56,7 +56,7 @@ def plain_z_buffer(cloud: DenseCloud, view: View, radius_m: float) -> tuple[np.n
 @pytest.mark.parametrize("radius_m", [0.001, 0.03, 0.15])
 def test_the_nearest_disc_is_that_of_a_plain_z_buffer(radius_m: float) -> None:
     T = se3.exp(np.array([0.1, -0.2, -0.3, 0.1, 0.2, -0.15]))
-    view = View(T, CAMERA)
+    view = Viewpoint(T, CAMERA)
     cloud = random_cloud(400)
     depth, nearest = plain_z_buffer(cloud, view, radius_m)
     splats = splat(cloud, view, radius_m)
@@ -116,7 +116,7 @@ def test_backs_are_left_out_unless_asked_for_and_points_without_normal_face_the_
 
 def test_what_the_view_cuts_away_or_lies_behind_it_is_not_drawn() -> None:
     cloud = cloud_of([[0, 0, 2.0], [0, 0, 1.0], [0, 0, -1.0]], [[0, 0, -1.0]] * 3, [[9, 9, 9]] * 3)
-    view = View(np.eye(4), CAMERA, np.array([0, 0, -1.0, 1.5]))  # Hides z < 1.5 m.
+    view = Viewpoint(np.eye(4), CAMERA, np.array([0, 0, -1.0, 1.5]))  # Hides z < 1.5 m.
     assert set(np.unique(splat(cloud, view, 0.1, two_sided=True).nearest)) == {-1, 0}
 
 

@@ -8,7 +8,7 @@ from dense_clouds import EMPTY, select
 
 from stillroom.data.clouds import DenseCloud
 from stillroom.geometry import se3
-from stillroom.viz.cloud.view import View, default_view, top_view, upward
+from stillroom.viz.cloud.view import Viewpoint, default_view, top_view, upward
 
 WORLDS = [np.eye(4), se3.exp(np.array([3.0, -1.0, 0.5, 0.4, -1.9, 0.3]))]
 """Nothing may depend on where the world's axes point."""
@@ -19,7 +19,7 @@ def moved(cloud: DenseCloud, T: np.ndarray) -> DenseCloud:
     return replace(cloud, positions_m=positions_m, normals=(cloud.normals @ T[:3, :3].T).astype(np.float32))
 
 
-def projected(view: View, positions_m: np.ndarray) -> np.ndarray:
+def projected(view: Viewpoint, positions_m: np.ndarray) -> np.ndarray:
     seen_m = se3.transform(se3.inverse(view.T_world_cam), positions_m)
     assert seen_m[:, 2].min() > 0
     return view.camera.project(seen_m)

@@ -4,7 +4,15 @@ import cv2
 import numpy as np
 
 from stillroom.geometry.camera import Camera
-from stillroom.viz.geometry import BAND, PATH, AntWalk, compensated, draw_ant_walk, draw_difference, draw_moving_points
+from stillroom.viz.geometry_pictures import (
+    BAND,
+    PATH,
+    AntWalk,
+    compensated,
+    draw_ant_walk,
+    draw_difference,
+    draw_moving_points,
+)
 from stillroom.viz.marks import MOVING, STATIC
 
 CAMERA = Camera(160, 120, 150.0, 150.0, 80.0, 60.0)

@@ -9,8 +9,8 @@ from stillroom.bench import accuracy as exactness
 from stillroom.bench import parts as combining
 from stillroom.bench import rejection as rejecting
 from stillroom.bench import speed as cost
-from stillroom.bench.ghosts import HEADER, Ghosts, stretches
-from stillroom.bench.ghosts import ghosts as judged
+from stillroom.bench.ghost_trials import HEADER, Ghosts, stretches
+from stillroom.bench.ghost_trials import ghosts as judged
 from stillroom.bench.parts import BOTH, HALF, Part, every_second_second
 from stillroom.bench.rejection import Way, ways
 from stillroom.bench.speed import Speed, UnitMeter

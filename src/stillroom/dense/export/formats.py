@@ -30,7 +30,7 @@ class ExportConfig:
 
 
 @dataclass(frozen=True)
-class Written:
+class WrittenFile:
     """A file that was written.
 
     Attributes:
@@ -42,40 +42,42 @@ class Written:
     content: str
 
 
-Write = Callable[[DenseCloud, Path, ExportConfig], list[Written]]
+Write = Callable[[DenseCloud, Path, ExportConfig], list[WrittenFile]]
 """Writes a cloud into a folder, and says what."""
 
 
-def _ply(cloud: DenseCloud, folder: Path, config: ExportConfig) -> list[Written]:
+def _ply(cloud: DenseCloud, folder: Path, config: ExportConfig) -> list[WrittenFile]:
     write_point_ply(cloud, folder / "cloud.ply")
-    return [Written(folder / "cloud.ply", f"{len(cloud)} points")]
+    return [WrittenFile(folder / "cloud.ply", f"{len(cloud)} points")]
 
 
-def _pcd(cloud: DenseCloud, folder: Path, config: ExportConfig) -> list[Written]:
+def _pcd(cloud: DenseCloud, folder: Path, config: ExportConfig) -> list[WrittenFile]:
     write_pcd(cloud, folder / "cloud.pcd")
-    return [Written(folder / "cloud.pcd", f"{len(cloud)} points")]
+    return [WrittenFile(folder / "cloud.pcd", f"{len(cloud)} points")]
 
 
-def _mesh(cloud: DenseCloud, folder: Path, config: ExportConfig) -> list[Written]:
+def _mesh(cloud: DenseCloud, folder: Path, config: ExportConfig) -> list[WrittenFile]:
     mesh = config.mesh.build()(cloud)
     mesh.write_ply(folder / "mesh.ply")
-    return [Written(folder / "mesh.ply", f"{len(mesh.triangles)} triangles, {len(mesh.positions_m)} vertices")]
+    return [WrittenFile(folder / "mesh.ply", f"{len(mesh.triangles)} triangles, {len(mesh.positions_m)} vertices")]
 
 
-def _occupancy(cloud: DenseCloud, folder: Path, config: ExportConfig) -> list[Written]:
+def _occupancy(cloud: DenseCloud, folder: Path, config: ExportConfig) -> list[WrittenFile]:
     plan = config.occupancy.build()(cloud)
     picture, description, frame = plan.write(folder)
     height, width = plan.cells.shape
     return [
-        Written(picture, f"{width} × {height} cells of {plan.resolution_m:g} m"),
-        Written(description, f"{plan.floor.area_m2:.1f} m² of floor, {plan.floor.tilt_deg:.0f}° off the first camera"),
-        Written(frame, "T_map_world"),
+        WrittenFile(picture, f"{width} × {height} cells of {plan.resolution_m:g} m"),
+        WrittenFile(
+            description, f"{plan.floor.area_m2:.1f} m² of floor, {plan.floor.tilt_deg:.0f}° off the first camera"
+        ),
+        WrittenFile(frame, "T_map_world"),
     ]
 
 
-def _octomap(cloud: DenseCloud, folder: Path, config: ExportConfig) -> list[Written]:
+def _octomap(cloud: DenseCloud, folder: Path, config: ExportConfig) -> list[WrittenFile]:
     n_voxels = write_octomap(cloud, folder / "map.bt")
-    return [Written(folder / "map.bt", f"{n_voxels} voxels of {cloud.voxel_m:g} m")]
+    return [WrittenFile(folder / "map.bt", f"{n_voxels} voxels of {cloud.voxel_m:g} m")]
 
 
 FORMATS: dict[str, Write] = {"ply": _ply, "pcd": _pcd, "mesh": _mesh, "occupancy": _occupancy, "octomap": _octomap}

@@ -14,7 +14,7 @@ from stillroom.geometry.distortion import distorted
 NOTHING, HIT, PASSED = 0, 1, 2
 
 
-class DepthView(NamedTuple):
+class SmallDepthView(NamedTuple):
     """A small depth image, and where it was taken.
 
     Attributes:
@@ -52,7 +52,7 @@ class Scoring(NamedTuple):
     highest: int
 
 
-class Voxels(NamedTuple):
+class VoxelColumns(NamedTuple):
     """Keys (N,) and columns of the rows of a map, and the edge of its voxels [m]."""
 
     key: I64
@@ -72,7 +72,7 @@ def position(key: int, row: int, rows: I32, voxel_m: float) -> tuple[float, floa
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def look(X: float, Y: float, Z: float, view: DepthView, seeing: Seeing) -> int:
+def look(X: float, Y: float, Z: float, view: SmallDepthView, seeing: Seeing) -> int:
     """Return what a small depth image says of a point of the world [m]: NOTHING, HIT or PASSED."""
     T, views, unit_m = view.T_cam_world, view.views, seeing.unit_m
     z = T[2, 0] * X + T[2, 1] * Y + T[2, 2] * Z + T[2, 3]
@@ -113,7 +113,9 @@ def _is_surface(units: int, z: float, unit_m: float, tolerance: float) -> bool:
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def judge_in_view(is_near: Bool, voxels: Voxels, now: int, view: DepthView, seeing: Seeing, scoring: Scoring) -> int:
+def judge_in_view(
+    is_near: Bool, voxels: VoxelColumns, now: int, view: SmallDepthView, seeing: Seeing, scoring: Scoring
+) -> int:
     """Let a depth image judge all voxels with weight in the blocks (B,) that are near; return how many were voided.
 
     A hit raises a voxel's score, a pass lowers it, both within limits. A pass at the lower limit voids the voxel.
@@ -147,7 +149,7 @@ def judge_in_view(is_near: Bool, voxels: Voxels, now: int, view: DepthView, seei
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def judge_rows(
-    chosen: I32, positions_m: F32, rows: I32, view: DepthView, seeing: Seeing, scoring: Scoring, heard: Bool
+    chosen: I32, positions_m: F32, rows: I32, view: SmallDepthView, seeing: Seeing, scoring: Scoring, heard: Bool
 ) -> None:
     """Let a depth image judge chosen rows (M,) at positions (M, 3), and note of which it said something (M,).
 
@@ -165,7 +167,7 @@ def judge_rows(
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def answers(positions_m: F32, view: DepthView, seeing: Seeing) -> U8:
+def answers(positions_m: F32, view: SmallDepthView, seeing: Seeing) -> U8:
     """Return what a depth image says of points (M, 3) [m, world], (M,); see `look`."""
     said = np.empty(len(positions_m), dtype=np.uint8)
     for i in range(len(positions_m)):

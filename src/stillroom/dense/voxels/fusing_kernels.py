@@ -104,7 +104,7 @@ class Pixels(NamedTuple):
     usable: U8
 
 
-class Table(NamedTuple):
+class HashTable(NamedTuple):
     """The hash table of the voxels: the key and the row of each slot (S,)."""
 
     slot_key: I64
@@ -112,7 +112,7 @@ class Table(NamedTuple):
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def add_pixels(pixels: Pixels, table: Table, row_key: I64, rows: I32, n_rows: int, newborn: I32) -> tuple[int, int]:
+def add_pixels(pixels: Pixels, table: HashTable, row_key: I64, rows: I32, n_rows: int, newborn: I32) -> tuple[int, int]:
     """Add pixels to the voxels; a pixel for which there is no room or no voxel ceases to be usable.
 
     Args:
@@ -162,7 +162,7 @@ def add_pixels(pixels: Pixels, table: Table, row_key: I64, rows: I32, n_rows: in
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def subtract_pixels(pixels: Pixels, table: Table, rows: I32, added_at: int) -> None:
+def subtract_pixels(pixels: Pixels, table: HashTable, rows: I32, added_at: int) -> None:
     """Take pixels out of the voxels that they were added to at the time `added_at`.
 
     Where a voxel was voided since, the pixel is no longer in it, and ceases to be usable: it showed what moved.

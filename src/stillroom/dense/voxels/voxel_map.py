@@ -11,8 +11,8 @@ from stillroom.dense.voxels.fusing_kernels import (
     SCORE,
     VOIDED_AT,
     WEIGHT,
+    HashTable,
     Pixels,
-    Table,
     add_pixels,
     locate,
     pixel_weights,
@@ -134,14 +134,14 @@ class VoxelMap:
         newborn = np.empty(n_usable, dtype=np.int32)
         before = self.n_rows
         self.n_rows, n_newborn = add_pixels(
-            placed.pixels, Table(self._slot_key, self._slot_row), self._key, self._rows, before, newborn
+            placed.pixels, HashTable(self._slot_key, self._slot_row), self._key, self._rows, before, newborn
         )
         self._number_blocks(before)
         return newborn[:n_newborn].copy()
 
     def subtract(self, placed: Placed, added_at: int) -> None:
         """Take pixels out that were added at the time `added_at`; those voided since cease to be usable."""
-        subtract_pixels(placed.pixels, Table(self._slot_key, self._slot_row), self._rows, added_at)
+        subtract_pixels(placed.pixels, HashTable(self._slot_key, self._slot_row), self._rows, added_at)
 
     def void(self, rows: Ints, now: int, score: int) -> None:
         """Empty voxels (M,) for good: what was added to them before `now` never comes back."""

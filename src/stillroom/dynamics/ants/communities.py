@@ -72,7 +72,7 @@ def from_left(points_px: F64, chosen: I64) -> I64:
     return by_y[np.argsort(points_px[by_y, 0], kind="mergesort")]
 
 
-class Known(NamedTuple):
+class KnownPoints(NamedTuple):
     """What is known of the points (N,) so far.
 
     Attributes:
@@ -89,7 +89,7 @@ class Known(NamedTuple):
 
 
 @numba.njit(nogil=True, cache=True)
-def widen(points_px: F64, rank: I64, grow_px: float, known: Known, untested: I64) -> int:
+def widen(points_px: F64, rank: I64, grow_px: float, known: KnownPoints, untested: I64) -> int:
     """Grow all communities as far as what is known leads, and collect what must be tested to lead on.
 
     A community takes up whatever moves in the band around its hull, other communities with all that they have. Points

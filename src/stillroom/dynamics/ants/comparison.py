@@ -11,7 +11,7 @@ from typing import TypeVar
 import numpy as np
 
 from stillroom.dynamics.ants.colony import length_px
-from stillroom.dynamics.ants.search import Found, ReverseSearch, Test, exhaustive
+from stillroom.dynamics.ants.search import ReverseSearch, SearchResult, Test, exhaustive
 from stillroom.geometry.arrays import F64, Bool
 
 T = TypeVar("T")
@@ -135,7 +135,7 @@ def compare(
 
 def _searched(
     points: PointSet, ants: ReverseSearch, repeats: int, clock: Callable[[], float]
-) -> tuple[Found, float, float]:
+) -> tuple[SearchResult, float, float]:
     """Return what a search finds, what it costs with path and memory, and what the path costs of that [s]."""
     _, path_s = _timed(lambda: ants.path.lay(points.points_px), repeats, clock)
     found, search_s = _timed(lambda: ants.search(points.points_px, points.test, points.mask), repeats, clock)

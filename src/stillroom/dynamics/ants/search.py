@@ -7,7 +7,7 @@ import numba
 import numpy as np
 
 from stillroom.dynamics.ants.colony import PathConfig
-from stillroom.dynamics.ants.communities import NONE, Known, convex_hull, from_left, widen
+from stillroom.dynamics.ants.communities import NONE, KnownPoints, convex_hull, from_left, widen
 from stillroom.geometry.arrays import F64, I64, Bool
 
 GRID = 128
@@ -122,13 +122,13 @@ class ReverseSearchConfig:
         """
         return ReverseSearch(self, seed)
 
-    def search(self, points_px: F64, test: Test, seed: int = 0) -> "Found":
+    def search(self, points_px: F64, test: Test, seed: int = 0) -> "SearchResult":
         """Search points (N, 2) [px] along the path alone, without a past."""
         return search(points_px, self.path.build(seed).lay(points_px), test, self)
 
 
 @dataclass(frozen=True)
-class Found:
+class SearchResult:
     """What the search came upon, for N points.
 
     Attributes:
@@ -160,7 +160,7 @@ class ReverseSearch:
         self.path = config.path.build(seed)
         self.scent = Scent(config.scent)
 
-    def search(self, points_px: F64, test: Test, mask: Bool | None = None) -> Found:
+    def search(self, points_px: F64, test: Test, mask: Bool | None = None) -> SearchResult:
         """Go along a path through points (N, 2) [px], none of which lies in the mask (H, W); see the function `search`.
 
         Changes nothing that is remembered.
@@ -170,7 +170,7 @@ class ReverseSearch:
         self.scent.mark(points_px, mask, smells)
         return search(points_px, self.path.lay(points_px), test, self.config, smells)
 
-    def remember(self, points_px: F64, found: Found) -> None:
+    def remember(self, points_px: F64, found: SearchResult) -> None:
         """Take what was found of points (N, 2) as the past of the next image."""
         self.path.remember()
         self.scent.leave(np.ascontiguousarray(points_px[found.is_dynamic], dtype=np.float64))
@@ -181,7 +181,9 @@ def exhaustive(points_px: F64, test: Test) -> Bool:
     return test(np.arange(len(points_px), dtype=np.int64))
 
 
-def search(points_px: F64, path_px: F64, test: Test, config: ReverseSearchConfig, smells: Bool | None = None) -> Found:
+def search(
+    points_px: F64, path_px: F64, test: Test, config: ReverseSearchConfig, smells: Bool | None = None
+) -> SearchResult:
     """Go along the path; at a node test what lies within R, and grow around what moves until nothing new is found.
 
     All that lies near any node is tested sooner or later, and the order changes no verdict; so it is tested at once,
@@ -204,13 +206,13 @@ def search(points_px: F64, path_px: F64, test: Test, config: ReverseSearchConfig
         is_tested |= smells
     is_dynamic, is_open = np.zeros(n, dtype=np.bool_), np.zeros(n + 1, dtype=np.bool_)
     community, untested = np.full(n, NONE, dtype=np.int64), np.flatnonzero(is_tested)
-    wanted, known = np.empty(n, dtype=np.int64), Known(is_tested, is_dynamic, community, is_open)
+    wanted, known = np.empty(n, dtype=np.int64), KnownPoints(is_tested, is_dynamic, community, is_open)
     while len(untested):
         is_dynamic[untested] = test(untested)
         n_wanted = widen(points_px, node, config.grow_px, known, wanted)
         untested = wanted[:n_wanted].copy()
     hulls, members = _communities(points_px, community, config.min_community)
-    return Found(is_dynamic, is_tested, path_px, hulls, members)
+    return SearchResult(is_dynamic, is_tested, path_px, hulls, members)
 
 
 def _communities(points_px: F64, community: I64, least: int) -> tuple[tuple[F64, ...], tuple[I64, ...]]:

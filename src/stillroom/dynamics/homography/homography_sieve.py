@@ -12,10 +12,10 @@ from stillroom.data.image import RgbdImage
 from stillroom.data.motion import Motion
 from stillroom.data.question import Question
 from stillroom.data.semantics import Semantics
-from stillroom.dynamics.ants.search import Found, ReverseSearchConfig, exhaustive
+from stillroom.dynamics.ants.search import ReverseSearchConfig, SearchResult, exhaustive
 from stillroom.dynamics.homography.compensation import CameraMotion, Compensation, CompensationConfig
 from stillroom.dynamics.homography.past import Past, view_of
-from stillroom.dynamics.homography.point_motion import DYNAMIC, UNKNOWN, PointTest, PointTestConfig, View
+from stillroom.dynamics.homography.point_motion import DYNAMIC, UNKNOWN, ImageView, PointTest, PointTestConfig
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F32, F64, I64, U8, Bool
 from stillroom.geometry.pixels import values_at
@@ -76,7 +76,7 @@ class Findings:
 
     index: int
     candidates: I64
-    found: Found
+    found: SearchResult
     verdicts: I64
     camera_motion: CameraMotion
     test: PointTest = field(repr=False)
@@ -119,7 +119,7 @@ class CompensatedHomographySieve:
         """Move the past along."""
         self._past.follow(T_new_old)
 
-    def examine(self, frame: Frame, known: Semantics, view: View, T_cam_world: F64) -> Findings | None:
+    def examine(self, frame: Frame, known: Semantics, view: ImageView, T_cam_world: F64) -> Findings | None:
         """Return what the geometry says; None where there is nothing to compare with, or it cannot be compared."""
         masked = known.movable_at(frame.keypoints.raw_px)
         for earlier in self._past.before(frame):
@@ -130,7 +130,13 @@ class CompensatedHomographySieve:
         return None
 
     def _search(
-        self, frame: Frame, known: Semantics, masked: Bool, view: View, earlier: View, camera_motion: CameraMotion
+        self,
+        frame: Frame,
+        known: Semantics,
+        masked: Bool,
+        view: ImageView,
+        earlier: ImageView,
+        camera_motion: CameraMotion,
     ) -> Findings:
         """Test the keypoints that are not masked (N,) along the path, or all of them."""
         kp, config, candidates = frame.keypoints, self.config, np.flatnonzero(~masked)
@@ -183,10 +189,10 @@ class CompensatedHomographySieve:
         return filled
 
 
-def _communities_of(points_px: F64, is_dynamic: Bool, config: ReverseSearchConfig) -> Found:
+def _communities_of(points_px: F64, is_dynamic: Bool, config: ReverseSearchConfig) -> SearchResult:
     """Return the communities of points (N, 2) that are all known."""
     again = config.search(points_px, lambda which: is_dynamic[which])
-    return Found(is_dynamic, np.ones(len(points_px), dtype=np.bool_), again.path_px, again.hulls, again.members)
+    return SearchResult(is_dynamic, np.ones(len(points_px), dtype=np.bool_), again.path_px, again.hulls, again.members)
 
 
 @numba.njit(nogil=True, cache=True)

@@ -8,7 +8,7 @@ import numpy as np
 
 from stillroom.data.frame import Frame
 from stillroom.data.image import RgbdImage
-from stillroom.dynamics.homography.point_motion import View
+from stillroom.dynamics.homography.point_motion import ImageView
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64, U8
 
@@ -28,13 +28,13 @@ class EarlierImage:
 
     index: int
     timestamp_s: float
-    view: View = field(repr=False)
+    view: ImageView = field(repr=False)
     T_cam_world: F64
 
 
-def view_of(image: RgbdImage) -> View:
+def view_of(image: RgbdImage) -> ImageView:
     """Return an image as the point test reads it."""
-    return View(_shrunk(image.gray, 2), _shrunk(image.gray, 4), image.depth_m)
+    return ImageView(_shrunk(image.gray, 2), _shrunk(image.gray, 4), image.depth_m)
 
 
 def _shrunk(gray: U8, times: int) -> U8:
@@ -84,7 +84,7 @@ class Past:
         T_old_new = se3.inverse(T_new_old)
         self._images = [replace(image, T_cam_world=image.T_cam_world @ T_old_new) for image in self._images]
 
-    def remember(self, frame: Frame, view: View, T_cam_world: F64) -> None:
+    def remember(self, frame: Frame, view: ImageView, T_cam_world: F64) -> None:
         """Keep an image, once; forget those that no later one will be compared with."""
         oldest_s = min((image.timestamp_s for image in self.before(frame)), default=frame.timestamp_s)
         kept = [image for image in self._images if oldest_s <= image.timestamp_s < frame.timestamp_s]

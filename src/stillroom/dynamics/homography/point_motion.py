@@ -49,7 +49,7 @@ class PointTestConfig:
 
 
 @dataclass(frozen=True)
-class View:
+class ImageView:
     """An image as the test reads it.
 
     Attributes:
@@ -63,7 +63,7 @@ class View:
 
 
 class _Images(NamedTuple):
-    """Both images of a test; see `View`."""
+    """Both images of a test; see `ImageView`."""
 
     now_half: U8
     now_quarter: U8
@@ -72,7 +72,7 @@ class _Images(NamedTuple):
     then_depth_m: F32
 
 
-class _Points(NamedTuple):
+class _TestPoints(NamedTuple):
     """The points of a test, as taken and undistorted (N, 2) [px], and their depths (N,) [m]."""
 
     raw_px: F64
@@ -122,8 +122,8 @@ class PointTest:
 
     config: PointTestConfig
     camera: Camera
-    now: View
-    then: View
+    now: ImageView
+    then: ImageView
     raw_px: F64
     px: F64
     depth_m: F64
@@ -154,12 +154,12 @@ class PointTest:
         judge_points(which, *self._given, _Answers(verdicts, residual_px))
 
     @cached_property
-    def _given(self) -> tuple[_Images, _Points, _Motions, Lens, _Limits]:
+    def _given(self) -> tuple[_Images, _TestPoints, _Motions, Lens, _Limits]:
         """What the kernel is given with each question."""
         c = self.config
         return (
             _Images(self.now.half, self.now.quarter, self.then.half, self.then.quarter, self.then.depth_m),
-            _Points(self.raw_px, self.px, self.depth_m),
+            _TestPoints(self.raw_px, self.px, self.depth_m),
             _Motions(self.T_then_now, self.H_then_now),
             self.camera.lens,
             _Limits(
@@ -248,7 +248,7 @@ def unexplained_px(found: F64, by_plane: F64, T_then_now: F64, lens: Lens, neare
 
 @numba.njit(nogil=True, cache=True)
 def judge_points(
-    which: I64, images: _Images, points: _Points, motions: _Motions, lens: Lens, limits: _Limits, answers: _Answers
+    which: I64, images: _Images, points: _TestPoints, motions: _Motions, lens: Lens, limits: _Limits, answers: _Answers
 ) -> None:
     """Write what is said of the points `which` (K,); see `PointTest`."""
     raw_px, px, depth_m = points

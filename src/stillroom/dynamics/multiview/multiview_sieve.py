@@ -10,7 +10,7 @@ from stillroom.data.motion import Motion, Stage
 from stillroom.data.question import Question
 from stillroom.data.semantics import Instance, Semantics, union_of
 from stillroom.dynamics.asking import ImageMemory
-from stillroom.dynamics.multiview.geometry import GeometryConfig
+from stillroom.dynamics.multiview.multiview_geometry import GeometryConfig
 from stillroom.dynamics.multiview.views import FARTHEST, NEAREST, KeyframesConfig
 from stillroom.geometry.arrays import F64, Bool
 from stillroom.geometry.pixels import Shape, grown, values_at

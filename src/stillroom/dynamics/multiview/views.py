@@ -50,7 +50,7 @@ class KeyframesConfig:
 
 
 @dataclass(frozen=True)
-class View:
+class KeyframeView:
     """A keyframe.
 
     Attributes:
@@ -72,7 +72,7 @@ class AskedViews:
     Attributes:
         T_world_cam: Their poses as known now (K, 4, 4).
         T_cam_world: Their inverses (K, 4, 4).
-        depth_m: Their small depth images (K, h, w, 3), as `View` has them.
+        depth_m: Their small depth images (K, h, w, 3), as `KeyframeView` has them.
         points_cam_m: All their points (N, 3) [m, frame of the keyframe's camera].
         seen_in: Place in the arrays above of the keyframe that saw each point (N,).
     """
@@ -101,7 +101,7 @@ class KeyframeViews:
     def __init__(self, config: KeyframesConfig) -> None:
         """Start without any."""
         self.config = config
-        self._views: deque[View] = deque(maxlen=config.kept)
+        self._views: deque[KeyframeView] = deque(maxlen=config.kept)
         self._last: _Noted | None = None
 
     def __len__(self) -> int:
@@ -174,7 +174,7 @@ class KeyframeViews:
         order = np.argsort(-score if self.config.choice == FARTHEST else score, kind="stable")
         return np.asarray(np.sort(order[:n]), dtype=np.int64)
 
-    def _view(self, keyframe: int, frame: Frame, moving: Bool, displaced_px: float) -> View:
+    def _view(self, keyframe: int, frame: Frame, moving: Bool, displaced_px: float) -> KeyframeView:
         small = frame.image.depth_m[::STRIDE, ::STRIDE].copy()
         small[moving[::STRIDE, ::STRIDE]] = 0
         kp = frame.keypoints
@@ -182,7 +182,7 @@ class KeyframeViews:
         points = frame.camera.back_project(kp.px[usable], kp.depth_m[usable])
         if self.config.grid_px > 0:
             points = np.concatenate((points, self._on_a_grid(frame, small)))
-        return View(keyframe, with_neighbours(small, 1 + round(displaced_px / STRIDE)), points)
+        return KeyframeView(keyframe, with_neighbours(small, 1 + round(displaced_px / STRIDE)), points)
 
     def _on_a_grid(self, frame: Frame, small_m: F32) -> F64:
         """Return the points (P, 3) of every so many-th pixel of a small depth image."""

@@ -9,7 +9,7 @@ from stillroom.geometry.arrays import F64, I32, I64, Floats
 
 
 @dataclass(frozen=True)
-class Voxels:
+class OccupiedVoxels:
     """M occupied voxels of N points, in the order in which the points enter them.
 
     Attributes:
@@ -27,7 +27,7 @@ class Voxels:
         return len(self.n_points)
 
 
-def voxel_filter(points_m: Floats, voxel_m: float) -> Voxels:
+def voxel_filter(points_m: Floats, voxel_m: float) -> OccupiedVoxels:
     """Thin a cloud to one point for each voxel (OC-SLAM 2.3).
 
     Args:
@@ -43,7 +43,7 @@ def voxel_filter(points_m: Floats, voxel_m: float) -> Voxels:
     voxel_of, n_voxels, _, _ = cell_of_points(cells_of(points, voxel_m), table_size(len(points)))
     counts = np.bincount(voxel_of, minlength=n_voxels)
     sums = np.stack([np.bincount(voxel_of, points[:, k], n_voxels) for k in range(3)], axis=1)
-    return Voxels(sums / np.maximum(counts, 1)[:, None], counts.astype(np.int32), voxel_of)
+    return OccupiedVoxels(sums / np.maximum(counts, 1)[:, None], counts.astype(np.int32), voxel_of)
 
 
 def cells_of(points: F64, edge: float) -> I64:

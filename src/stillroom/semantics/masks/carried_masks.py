@@ -9,10 +9,10 @@ import numpy as np
 
 from stillroom.bounds import bounded
 from stillroom.data.image import RgbdImage
+from stillroom.semantics.masks.mask_segments import HalfImage, MaskSegments
 from stillroom.semantics.masks.refine import RefineConfig, refined
-from stillroom.semantics.masks.segments import HalfImage, Segments
 
-See = Callable[[RgbdImage, HalfImage], Segments]
+See = Callable[[RgbdImage, HalfImage], MaskSegments]
 
 
 # Carry a mask from the image in which it is known to a later one: by dense flow, gated by depth.
@@ -34,7 +34,7 @@ class MaskCarryConfig:
     depth_step_m: float = bounded(0.30, above=0)
 
 
-def carried(segments: Segments, earlier: HalfImage, now: HalfImage, config: MaskCarryConfig) -> Segments:
+def carried(segments: MaskSegments, earlier: HalfImage, now: HalfImage, config: MaskCarryConfig) -> MaskSegments:
     """Return where what may move is now.
 
     Args:
@@ -58,11 +58,11 @@ def carried(segments: Segments, earlier: HalfImage, now: HalfImage, config: Mask
     if named is not None:
         named = np.asarray(cv2.remap(named, x, y, cv2.INTER_NEAREST, borderValue=0), dtype=np.uint8)
         named[other] = 0
-    return Segments(np.asarray(label, dtype=np.uint8), np.asarray(likely, dtype=np.float32), named)
+    return MaskSegments(np.asarray(label, dtype=np.uint8), np.asarray(likely, dtype=np.float32), named)
 
 
 @dataclass(frozen=True)
-class Known:
+class KnownImage:
     """What is known of an image.
 
     Attributes:
@@ -70,17 +70,17 @@ class Known:
         age: How many images ago the network saw it; 0 where it saw this one.
     """
 
-    segments: Segments
+    segments: MaskSegments
     age: int
 
 
 @dataclass(frozen=True)
 class _Answer:
     seen_at: int
-    segments: Segments
+    segments: MaskSegments
 
 
-NOTHING_YET = Known(Segments(np.zeros((0, 0), np.uint8), np.zeros((0, 0), np.float32)), 0)
+NOTHING_YET = KnownImage(MaskSegments(np.zeros((0, 0), np.uint8), np.zeros((0, 0), np.float32)), 0)
 
 
 class LateMasks:
@@ -107,7 +107,7 @@ class LateMasks:
         self._known = NOTHING_YET
         self._count = -1
 
-    def __call__(self, image: RgbdImage) -> Known:
+    def __call__(self, image: RgbdImage) -> KnownImage:
         """Return what is known of an image; images come in order, and a step back starts afresh."""
         view = HalfImage.of(image)
         if self._recent and (view.index <= self._recent[-1].index or view.shape != self._recent[-1].shape):
@@ -121,9 +121,9 @@ class LateMasks:
         while self._waiting and (now == 0 or self._waiting[0].seen_at + self._latency <= now):
             arrived = self._waiting.popleft()
         if arrived is not None:
-            self._known = Known(self._to_the_present(arrived), now - arrived.seen_at)
+            self._known = KnownImage(self._to_the_present(arrived), now - arrived.seen_at)
         else:
-            self._known = Known(self._one_step(self._known.segments, -1), self._known.age + 1)
+            self._known = KnownImage(self._one_step(self._known.segments, -1), self._known.age + 1)
         return self._known
 
     def _forget(self) -> None:
@@ -132,13 +132,13 @@ class LateMasks:
         self._known = NOTHING_YET
         self._count = -1
 
-    def _to_the_present(self, answer: _Answer) -> Segments:
+    def _to_the_present(self, answer: _Answer) -> MaskSegments:
         segments = answer.segments
         for back in range(self._count - answer.seen_at, 0, -1):
             segments = self._one_step(segments, -back)
         return segments
 
-    def _one_step(self, segments: Segments, place: int) -> Segments:
+    def _one_step(self, segments: MaskSegments, place: int) -> MaskSegments:
         """Carry segments to one of the recent images from the one before it."""
         earlier, now = self._recent[place - 1], self._recent[place]
         return refined(carried(segments, earlier, now, self._carry), now.depth_m, self._refine)

@@ -10,13 +10,13 @@ import numpy as np
 
 from stillroom.errors import WeightsError
 from stillroom.geometry.arrays import F32, U8
-from stillroom.semantics.onnx.session import COLORS, failures, first_line, image_input, open_file
+from stillroom.semantics.onnx.onnx_session import COLORS, failures, first_line, image_input, open_file
 
 LOGITS, PROBABILITIES = "logits", "probabilities"
 
 
 @dataclass(frozen=True)
-class Reading:
+class SegmentationInput:
     """How an image becomes a network's input, and its output probabilities.
 
     Attributes:
@@ -46,7 +46,7 @@ class Reading:
 class SegmentationNetwork:
     """A network with one image as input and a score of each class, or the best class, for each pixel as output."""
 
-    def __init__(self, path: Path, channels: Sequence[int], n_classes: int, reading: Reading) -> None:
+    def __init__(self, path: Path, channels: Sequence[int], n_classes: int, reading: SegmentationInput) -> None:
         """Load the network.
 
         Args:

@@ -11,11 +11,11 @@ from stillroom.data.semantics import Semantics
 from stillroom.protocols import Parts, Segmenter
 from stillroom.semantics.class_names import VOC_CLASSES, channels_of
 from stillroom.semantics.masks.carried_masks import LateMasks, MaskCarryConfig
-from stillroom.semantics.masks.network import LOGITS, PROBABILITIES, Reading, SegmentationNetwork
+from stillroom.semantics.masks.mask_segments import HalfImage, MaskSegments
+from stillroom.semantics.masks.network import LOGITS, PROBABILITIES, SegmentationInput, SegmentationNetwork
 from stillroom.semantics.masks.refine import RefineConfig
 from stillroom.semantics.masks.regions import RegionsConfig, as_semantics, without_specks
-from stillroom.semantics.masks.segments import HalfImage, Segments
-from stillroom.semantics.onnx.session import find_model
+from stillroom.semantics.onnx.onnx_session import find_model
 
 DEEPLAB = Path("deeplabv3_mobilenetv2_voc.onnx")
 """The network where none is named: DeepLabv3 on MobileNetV2, VOC classes."""
@@ -77,8 +77,10 @@ class OnnxMasksConfig:
         network = SegmentationNetwork(find_model(self.model or DEEPLAB), channels, len(self.classes), self._reading())
         return OnnxMasks(network, self)
 
-    def _reading(self) -> Reading:
-        return Reading(self.longer_side_px, self.step_px, self.offset_px, self.mean, self.std, self.bgr, self.scores)
+    def _reading(self) -> SegmentationInput:
+        return SegmentationInput(
+            self.longer_side_px, self.step_px, self.offset_px, self.mean, self.std, self.bgr, self.scores
+        )
 
 
 class OnnxMasks:
@@ -101,7 +103,7 @@ class OnnxMasks:
         size = image.height, image.width
         return as_semantics(segments, config.movable, *size, known.age, config.regions, config.named)
 
-    def see(self, image: RgbdImage, view: HalfImage) -> Segments:
+    def see(self, image: RgbdImage, view: HalfImage) -> MaskSegments:
         """Return what the network alone says of one image, at half size."""
         rows, columns = view.shape
         every, least = self._network.probabilities(image.rgb, columns, rows), self._config.probability
@@ -110,6 +112,6 @@ class OnnxMasks:
         together = np.minimum(likely.sum(axis=0), 1.0)
         label = np.where(together >= least, 1 + likely.argmax(axis=0), 0).astype(np.uint8)
         if len(others) == 0:
-            return Segments(label, together)
+            return MaskSegments(label, together)
         named = np.where((label == 0) & (others.max(axis=0) >= least), 1 + others.argmax(axis=0), 0).astype(np.uint8)
-        return Segments(label, np.where(named > 0, others.max(axis=0), together), named)
+        return MaskSegments(label, np.where(named > 0, others.max(axis=0), together), named)

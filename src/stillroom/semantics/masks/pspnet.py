@@ -15,11 +15,11 @@ from stillroom.geometry.arrays import F32, U8
 from stillroom.protocols import Parts, Segmenter
 from stillroom.semantics.class_names import VOC_CLASSES, channels_of
 from stillroom.semantics.masks.carried_masks import MaskCarryConfig
-from stillroom.semantics.masks.network import LOGITS, Reading, SegmentationNetwork
+from stillroom.semantics.masks.network import LOGITS, SegmentationInput, SegmentationNetwork
 from stillroom.semantics.masks.onnx_masks import OnnxMasks, OnnxMasksConfig
 from stillroom.semantics.masks.refine import RefineConfig
 from stillroom.semantics.masks.regions import RegionsConfig
-from stillroom.semantics.onnx.session import find_model
+from stillroom.semantics.onnx.onnx_session import find_model
 
 SHIPPED = "pspnet_mobilenetv2_voc.onnx"
 INPUTS_PX = {"320x240": 320, "512x384": 512, "640x480": 640}
@@ -100,7 +100,9 @@ class PspNetwork(SegmentationNetwork):
             WeightsError: The file is absent, or none of `stillroom export pspnet`.
         """
         # What the file says is known only when it is loaded; until then any size will do.
-        super().__init__(path, channels, len(VOC_CLASSES), Reading(longer_side_px, 1, 0, HALF, HALF, False, LOGITS))
+        super().__init__(
+            path, channels, len(VOC_CLASSES), SegmentationInput(longer_side_px, 1, 0, HALF, HALF, False, LOGITS)
+        )
         about: Mapping[str, str] = self._session.get_modelmeta().custom_metadata_map
         try:
             self._corners = about["corners"] == "1"
@@ -110,7 +112,7 @@ class PspNetwork(SegmentationNetwork):
             raise WeightsError(
                 f"{path}: not written by 'stillroom export pspnet'; other networks plug in as semantics.kind=onnx-masks"
             ) from error
-        self._reading = Reading(longer_side_px, step, offset, mean, std, False, LOGITS)
+        self._reading = SegmentationInput(longer_side_px, step, offset, mean, std, False, LOGITS)
 
     def probabilities(self, rgb: U8, width: int, height: int) -> F32:
         """Return how likely each pixel is of each class that is asked for (M, height, width) float32 in [0, 1].

@@ -8,7 +8,7 @@ import numpy as np
 from stillroom.bounds import bounded
 from stillroom.geometry.arrays import F32, U8, Bool
 from stillroom.geometry.pixels import Shape, element, grown
-from stillroom.semantics.masks.segments import Segments
+from stillroom.semantics.masks.mask_segments import MaskSegments
 
 FEWEST = 12
 """Pixels of known depth near a pixel, of which something can be said about the depth there."""
@@ -39,7 +39,7 @@ class RefineConfig:
         return None if self.window_px > self.band_px else ("window_px", "band_px")
 
 
-def refined(segments: Segments, depth_m: F32, config: RefineConfig) -> Segments:
+def refined(segments: MaskSegments, depth_m: F32, config: RefineConfig) -> MaskSegments:
     """Move the border of a mask to where the depth jumps.
 
     Each pixel near the border is compared with the mean depth of the body around it (what lies well inside of the
@@ -72,7 +72,9 @@ def refined(segments: Segments, depth_m: F32, config: RefineConfig) -> Segments:
     return _changed(segments, around, goes, comes, band_px)
 
 
-def _changed(segments: Segments, around: tuple[slice, slice], goes: Bool, comes: Bool, band_px: int) -> Segments:
+def _changed(
+    segments: MaskSegments, around: tuple[slice, slice], goes: Bool, comes: Bool, band_px: int
+) -> MaskSegments:
     """Return segments without some pixels, and with others, which take the label of what is next to them."""
     label, probability = segments.label.copy(), segments.probability.copy()
     part, likely = label[around], probability[around]

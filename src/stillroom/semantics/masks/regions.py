@@ -8,7 +8,7 @@ import numpy as np
 from stillroom.bounds import bounded
 from stillroom.data.semantics import Box, Semantics, nothing
 from stillroom.geometry.pixels import Shape, grown
-from stillroom.semantics.masks.segments import Segments
+from stillroom.semantics.masks.mask_segments import MaskSegments
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class RegionsConfig:
     boxes: bool = True
 
 
-def without_specks(segments: Segments, min_px: int) -> Segments:
+def without_specks(segments: MaskSegments, min_px: int) -> MaskSegments:
     """Return segments without regions smaller than so many pixels of the whole image."""
     if not segments.has_any or min_px == 0:
         return segments
@@ -42,7 +42,7 @@ def without_specks(segments: Segments, min_px: int) -> Segments:
 
 
 def as_semantics(
-    segments: Segments,
+    segments: MaskSegments,
     names: tuple[str, ...],
     height: int,
     width: int,
@@ -63,7 +63,7 @@ def as_semantics(
     """
     named: tuple[Box, ...] = ()
     if segments.named is not None:
-        there = without_specks(Segments(segments.named, segments.probability), config.min_px)
+        there = without_specks(MaskSegments(segments.named, segments.probability), config.min_px)
         named = _boxes(there, still, height, width, age)
     if not segments.has_any:
         return replace(nothing(height, width), named=named)
@@ -76,7 +76,7 @@ def as_semantics(
     return Semantics(height, width, boxes, movable, named=named)
 
 
-def _boxes(segments: Segments, names: tuple[str, ...], height: int, width: int, age: int) -> tuple[Box, ...]:
+def _boxes(segments: MaskSegments, names: tuple[str, ...], height: int, width: int, age: int) -> tuple[Box, ...]:
     """Return the box around each region of a class, the largest first; its confidence is the mean probability."""
     found = []
     for number in np.unique(segments.label[segments.mask]).tolist():

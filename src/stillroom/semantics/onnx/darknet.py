@@ -9,7 +9,7 @@ import numpy as np
 
 from stillroom.errors import WeightsError
 from stillroom.geometry.arrays import F64
-from stillroom.semantics.onnx.layouts import Asked, Shape, Told, may_be
+from stillroom.semantics.onnx.layouts import DetectionRequest, Shape, Told, may_be
 
 LARGEST_EXPONENT = 20.0  # of a box whose numbers make no sense
 BOX_ROWS = 5
@@ -127,7 +127,7 @@ class DarknetFile:
             output.type.tensor_type.shape.dim[1].dim_value = len(rows)
         return bytes(model.SerializeToString())
 
-    def layout(self, asked: Asked) -> "DarknetHeads":
+    def layout(self, asked: DetectionRequest) -> "DarknetHeads":
         """Return what reads the network's outputs.
 
         Args:
@@ -146,7 +146,7 @@ class DarknetHeads:
     """The layout `darknet`: for each head (1, A (5 + C), h, w) of raw numbers, A its anchors."""
 
     def __init__(
-        self, heads: Heads, input_shape: Sequence[int], output_shapes: Sequence[Sequence[int]], asked: Asked
+        self, heads: Heads, input_shape: Sequence[int], output_shapes: Sequence[Sequence[int]], asked: DetectionRequest
     ) -> None:
         """Take the heads of a network, which may have been cut to fewer classes than its file names.
 

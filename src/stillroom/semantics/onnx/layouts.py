@@ -33,7 +33,7 @@ Shape = Sequence[Any]
 
 
 @dataclass(frozen=True)
-class Asked:
+class DetectionRequest:
     """What a network is asked.
 
     Attributes:
@@ -84,7 +84,7 @@ class Layout(Protocol):
         """
 
 
-def layout_of(name: str, asked: Asked) -> Layout:
+def layout_of(name: str, asked: DetectionRequest) -> Layout:
     """Return the layout of a name; `darknet` is made by the file that knows the heads, and is not among them."""
     known: dict[str, type[YoloV8 | YoloV5 | Suppressed | Detections]] = {
         YOLO_V8: YoloV8,
@@ -109,7 +109,7 @@ def may_be(shape: Shape, *wanted: int | None) -> bool:
 class YoloV8:
     """(1, 4 + C, N): middle and size in pixels, then a probability for each class."""
 
-    asked: Asked
+    asked: DetectionRequest
 
     @property
     def expected(self) -> str:
@@ -132,7 +132,7 @@ class YoloV8:
 class YoloV5:
     """(1, N, 5 + C): middle and size in pixels, the probability of an object, and of each class given there is one."""
 
-    asked: Asked
+    asked: DetectionRequest
 
     @property
     def expected(self) -> str:
@@ -157,7 +157,7 @@ class YoloV5:
 class Suppressed:
     """(1, N, 6) or (N, 6): edges in pixels, score, number of the class."""
 
-    asked: Asked
+    asked: DetectionRequest
 
     @property
     def expected(self) -> str:
@@ -188,7 +188,7 @@ class Detections:
     such as masks, are not read.
     """
 
-    asked: Asked
+    asked: DetectionRequest
 
     @property
     def expected(self) -> str:
@@ -221,14 +221,14 @@ class Detections:
         return _chosen(edges, scores.ravel().astype(np.float64), labels.ravel(), self.asked)
 
 
-def _around(middle_and_size: Any, asked: Asked) -> F64:
+def _around(middle_and_size: Any, asked: DetectionRequest) -> F64:
     """Return the edges (N, 4) of boxes told by middle and size (N, 4)."""
     values = np.asarray(middle_and_size, dtype=np.float64) / np.tile(np.array(asked.side_px, dtype=np.float64), 2)
     middle, half = values[:, :2], 0.5 * values[:, 2:]
     return np.concatenate([middle - half, middle + half], axis=1)
 
 
-def _chosen(edges: F64, scores: F64, labels: Ints | F64, asked: Asked) -> Told:
+def _chosen(edges: F64, scores: F64, labels: Ints | F64, asked: DetectionRequest) -> Told:
     """Return the boxes of the classes that are asked for, from edges (N, 4), scores (N,) and class numbers (N,)."""
     likely = np.flatnonzero(scores >= asked.confidence)
     number = np.rint(labels[likely]).astype(np.int64)

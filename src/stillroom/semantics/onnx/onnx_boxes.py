@@ -10,10 +10,10 @@ from stillroom.semantics.carried_boxes import CarriedBoxes, CarryConfig
 from stillroom.semantics.class_names import COCO_CLASSES, channels_of, read_class_names
 from stillroom.semantics.detector import EachFrameAlone
 from stillroom.semantics.onnx.darknet import DarknetFile
-from stillroom.semantics.onnx.detector import DetectionNetwork, OnnxDetector, Reading
 from stillroom.semantics.onnx.fit import FITS, LETTERBOX, Colors
-from stillroom.semantics.onnx.layouts import DARKNET, LAYOUTS, YOLO_V8, Asked, Layout, layout_of
-from stillroom.semantics.onnx.session import find_model, open_content, open_file
+from stillroom.semantics.onnx.layouts import DARKNET, LAYOUTS, YOLO_V8, DetectionRequest, Layout, layout_of
+from stillroom.semantics.onnx.onnx_detector import DetectionNetwork, DetectorInput, OnnxDetector
+from stillroom.semantics.onnx.onnx_session import find_model, open_content, open_file
 
 PIXELS, SHARES = "pixels", "shares"
 
@@ -86,14 +86,14 @@ class OnnxBoxesConfig:
         names = self.class_names(COCO_CLASSES if darknet is None else darknet.heads.classes)
         labels = (*self.movable, *self.named)
         chosen = channels_of(labels, names)
-        reading = Reading(self.input_px, self.fit, Colors(self.mean, self.std, self.bgr))
+        reading = DetectorInput(self.input_px, self.fit, Colors(self.mean, self.std, self.bgr))
         if darknet is not None:
             network = DetectionNetwork(open_content(darknet.cut_to(chosen), path), path, reading)
-            layout: Layout = darknet.layout(Asked(path, len(chosen), range(len(chosen)), confidence))
+            layout: Layout = darknet.layout(DetectionRequest(path, len(chosen), range(len(chosen)), confidence))
         else:
             network = DetectionNetwork(open_file(path), path, reading)
             side_px = network.input_px if self.coordinates == PIXELS else (1, 1)
-            layout = layout_of(self.layout, Asked(path, len(names), chosen, confidence, side_px))
+            layout = layout_of(self.layout, DetectionRequest(path, len(names), chosen, confidence, side_px))
         return OnnxDetector(network, layout, labels, self.nms_iou)
 
     def class_names(self, default: tuple[str, ...]) -> tuple[str, ...]:

@@ -12,7 +12,7 @@ from stillroom.geometry.arrays import F32, F64, U8, Bool
 from stillroom.geometry.camera import Camera
 from stillroom.geometry.pixels import Shape, element
 from stillroom.viz.cloud.splat import Splats, splat
-from stillroom.viz.cloud.view import View, default_view
+from stillroom.viz.cloud.view import Viewpoint, default_view
 from stillroom.viz.style import DPI, INK, QUIET, picture
 
 HEADLIGHT = 0.25
@@ -152,7 +152,7 @@ class CloudRenderer:
         """Take note of the looks."""
         self._config = config or CloudRendererConfig()
 
-    def render(self, cloud: DenseCloud, view: View) -> U8:
+    def render(self, cloud: DenseCloud, view: Viewpoint) -> U8:
         """Draw a cloud.
 
         Args:
@@ -201,7 +201,7 @@ def draw_dense_pair(
     with_: DenseCloud,
     T_world_cam: F64,
     size_px: tuple[int, int] = (960, 640),
-    view: View | None = None,
+    view: Viewpoint | None = None,
 ) -> None:
     """Draw two maps from the same place: what OC-SLAM's Figures 9, 11 and 12 show.
 

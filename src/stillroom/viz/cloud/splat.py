@@ -8,7 +8,7 @@ from numba import njit
 from stillroom.data.clouds import DenseCloud
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F32, I32
-from stillroom.viz.cloud.view import View
+from stillroom.viz.cloud.view import Viewpoint
 
 NEAR_M = 0.05
 """Points nearer to the eye than this are not drawn."""
@@ -40,7 +40,7 @@ class Splats:
     rgb: F32 = field(repr=False)
 
 
-def splat(cloud: DenseCloud, view: View, radius_m: float, two_sided: bool = False) -> Splats:
+def splat(cloud: DenseCloud, view: Viewpoint, radius_m: float, two_sided: bool = False) -> Splats:
     """Draw a cloud's points as discs in their tangent planes (Zwicker et al., Surface splatting, 2001).
 
     A first pass finds the nearest disc in each pixel; a second blends the discs a little behind it, so that a

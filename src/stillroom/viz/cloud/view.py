@@ -26,7 +26,7 @@ CEILING_SHARE = 0.01
 
 
 @dataclass(frozen=True)
-class View:
+class Viewpoint:
     """A pinhole camera somewhere in the world, and what is cut away before it.
 
     Attributes:
@@ -39,7 +39,7 @@ class View:
     camera: Camera
     hidden: F64 | None = field(default=None)
 
-    def scaled(self, factor: int) -> "View":
+    def scaled(self, factor: int) -> "Viewpoint":
         """Return the same view on a picture that many times as large."""
         c = self.camera
         # Pixel centres lie at integers in both, so the principal point moves by half a pixel besides.
@@ -53,7 +53,7 @@ class View:
         )
         return replace(self, camera=camera)
 
-    def with_strip_below(self, height_px: int) -> "View":
+    def with_strip_below(self, height_px: int) -> "Viewpoint":
         """Return the same view with some more rows at the bottom, for a caption."""
         c = self.camera
         return replace(self, camera=Camera(c.width, c.height + height_px, c.fx, c.fy, c.cx, c.cy))
@@ -72,7 +72,7 @@ def default_view(
     height_px: int = 600,
     pitch_rad: float = 0.3,
     yaw_rad: float = 0.0,
-) -> View:
+) -> Viewpoint:
     """Look over the shoulder of the camera that saw a cloud: from behind and above it, at the middle of the scene.
 
     Args:
@@ -93,7 +93,7 @@ def default_view(
     return _fitted(cloud, T_world_cam, looking, up, width_px, height_px)
 
 
-def top_view(cloud: DenseCloud, T_world_cam: F64, width_px: int = 960, height_px: int = 600) -> View:
+def top_view(cloud: DenseCloud, T_world_cam: F64, width_px: int = 960, height_px: int = 600) -> Viewpoint:
     """Look straight down, the camera's forward direction upward in the picture; arguments as in `default_view`."""
     up = upward(cloud.normals, T_world_cam)
     forward = level(T_world_cam[:, :3, 2].mean(axis=0), up)
@@ -120,14 +120,16 @@ def upward(normals: Floats, T_world_cam: F64) -> F64:
     return up
 
 
-def _fitted(cloud: DenseCloud, T_world_cam: F64, looking: F64, upright: F64, width_px: int, height_px: int) -> View:
+def _fitted(
+    cloud: DenseCloud, T_world_cam: F64, looking: F64, upright: F64, width_px: int, height_px: int
+) -> Viewpoint:
     """Return the view along a direction that is far enough off to see all, and centred on it."""
     down = _unit(np.dot(upright, looking) * looking - upright)
     R_world_view = np.stack((np.cross(down, looking), down, looking), axis=1)
     hidden = _ceiling(cloud, T_world_cam)
     focal_px = width_px / FIELD_OF_VIEW
     camera = Camera(width_px, height_px, focal_px, focal_px, (width_px - 1) / 2.0, (height_px - 1) / 2.0)
-    view = View(se3.from_rotation_translation(R_world_view, T_world_cam[:, :3, 3].mean(axis=0)), camera, hidden)
+    view = Viewpoint(se3.from_rotation_translation(R_world_view, T_world_cam[:, :3, 3].mean(axis=0)), camera, hidden)
     seen_m = cloud.positions_m[view.shows(cloud.positions_m)]
     if len(seen_m) == 0:
         return view

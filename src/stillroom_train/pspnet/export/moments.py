@@ -6,7 +6,7 @@ import numpy as np
 
 from stillroom.errors import DatasetError
 from stillroom.geometry.arrays import F32, F64
-from stillroom.semantics.onnx.session import on_one_thread
+from stillroom.semantics.onnx.onnx_session import on_one_thread
 from stillroom_train.pspnet.export.network_file import written
 from stillroom_train.pspnet.networks.steps import IMAGE, Architecture
 

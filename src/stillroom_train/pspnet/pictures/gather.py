@@ -10,8 +10,8 @@ import numpy as np
 from stillroom.errors import DatasetError
 from stillroom.geometry.arrays import F32, U8
 from stillroom.semantics.class_names import VOC_CLASSES
+from stillroom.semantics.masks.mask_segments import MaskSegments
 from stillroom.semantics.masks.refine import RefineConfig, refined
-from stillroom.semantics.masks.segments import Segments
 from stillroom_train.pspnet.pictures.example import DOMAIN, PEOPLE, ROOM, Example, images_in, read_mask, read_rgb, split
 from stillroom_train.pspnet.pictures.teacher import Teacher
 
@@ -103,7 +103,7 @@ def _domain(path: Path, teacher: Teacher, depth_of: "_Depth") -> Example:
 
 def _mended(likely: F32, depth_m: F32) -> F32:
     """Return how likely pixels are a person's, certain where depth says that the border is elsewhere."""
-    before = Segments((likely >= 0.5).astype(np.uint8), likely)
+    before = MaskSegments((likely >= 0.5).astype(np.uint8), likely)
     after = refined(before, depth_m, RefineConfig())
     changed = after.mask != before.mask
     return np.where(changed, np.where(after.mask, SURE, 1.0 - SURE), likely).astype(np.float32)

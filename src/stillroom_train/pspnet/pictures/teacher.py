@@ -10,7 +10,7 @@ import numpy as np
 
 from stillroom.errors import WeightsError
 from stillroom.geometry.arrays import F32, U8
-from stillroom.semantics.onnx.session import on_one_thread
+from stillroom.semantics.onnx.onnx_session import on_one_thread
 
 LONGER_SIDES_PX = (513,)
 """Sizes at which the teacher looks at a picture; what it says is averaged over them, and over the mirrored picture."""

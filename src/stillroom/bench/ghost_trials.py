@@ -21,7 +21,7 @@ from stillroom.datasets.selection import parse_range, select
 from stillroom.dense.dense_mapper import DenseMapperConfig
 from stillroom.errors import ConfigError
 from stillroom.evaluation.report import percent
-from stillroom.pipeline import SILENT, Progress
+from stillroom.pipeline import SILENT, RunProgress
 from stillroom.protocols import Dataset, KnownScene
 from stillroom.viz.cloud.render import draw_dense_pair
 
@@ -100,7 +100,9 @@ class Ghosts:
         }
 
 
-def ghosts(dataset: Dataset, name: str, config: SlamConfig, chosen: Stretches, progress: Progress = SILENT) -> Ghosts:
+def ghosts(
+    dataset: Dataset, name: str, config: SlamConfig, chosen: Stretches, progress: RunProgress = SILENT
+) -> Ghosts:
     """Run a method and judge its dense map, made with removal and without.
 
     Args:

@@ -14,7 +14,7 @@ from stillroom.dynamics.asking import ImageMemory
 from stillroom.dynamics.cluster_evidence import MOVES, STAYS, Belief, MovingPixels, Sampler
 from stillroom.dynamics.depth_history import STRIDE, SmallView, ask
 from stillroom.dynamics.homography.past import EarlierImage, Past, view_of
-from stillroom.dynamics.homography.point_motion import DYNAMIC, STATIC, UNKNOWN, PointTest, PointTestConfig, View
+from stillroom.dynamics.homography.point_motion import DYNAMIC, STATIC, UNKNOWN, ImageView, PointTest, PointTestConfig
 from stillroom.geometry import homography, se3
 from stillroom.geometry.arrays import F64, I64, Bool
 from stillroom.geometry.pixels import values_at
@@ -81,7 +81,7 @@ class _Finding:
     """What was found of an image from a pose: its segments, what is read of it, and the segments' log-odds (K,)."""
 
     clusters: Clusters
-    view: View = field(repr=False)
+    view: ImageView = field(repr=False)
     belief: F64
 
 
@@ -130,7 +130,7 @@ class MovedSegments:
         found = _Finding(clusters, view, self._log_odds(frame, clusters, view, T_cam_world))
         return self._finding.keep(frame.image, T_cam_world, found)
 
-    def _log_odds(self, frame: Frame, clusters: Clusters, view: View, T_cam_world: F64) -> F64:
+    def _log_odds(self, frame: Frame, clusters: Clusters, view: ImageView, T_cam_world: F64) -> F64:
         """Return the log-odds (K,) that each segment moves."""
         config, samples = self.config, self._sampler.take(frame, clusters)
         belief = self._belief.of(samples, len(clusters), T_cam_world, frame.camera, frame.timestamp_s)
@@ -142,7 +142,7 @@ class MovedSegments:
             belief = belief + config.gain * votes
         return np.asarray(np.clip(belief, -config.limit, config.limit))
 
-    def _votes(self, frame: Frame, clusters: Clusters, view: View, earlier: EarlierImage, T_cam_world: F64) -> F64:
+    def _votes(self, frame: Frame, clusters: Clusters, view: ImageView, earlier: EarlierImage, T_cam_world: F64) -> F64:
         """Return what an earlier image says of each segment (K,): −1 static to 1 moving, 0 where it cannot tell."""
         config, camera = self.config, frame.camera
         points = self._points_on(frame, clusters)
@@ -161,7 +161,7 @@ class MovedSegments:
         vote = np.where(share > config.share, (share - config.share) / (1.0 - config.share), share / config.share - 1.0)
         return np.where(judged >= config.min_points, vote, 0.0)
 
-    def _was_there(self, points: "_Points", frame: Frame, earlier: EarlierImage, T_cam_world: F64) -> Bool:
+    def _was_there(self, points: "_SegmentPoints", frame: Frame, earlier: EarlierImage, T_cam_world: F64) -> Bool:
         """Return for points (P,) whether the earlier image has a surface where they are now."""
         camera, config = frame.camera, self.config
         agrees, empty = np.zeros((2, len(points.segment)), dtype=np.int64)
@@ -171,7 +171,7 @@ class MovedSegments:
         ask(view, points_world_m, config.tolerance_m, config.tolerance_share, agrees, empty)
         return np.asarray(agrees > 0)
 
-    def _points_on(self, frame: Frame, clusters: Clusters) -> "_Points":
+    def _points_on(self, frame: Frame, clusters: Clusters) -> "_SegmentPoints":
         """Return keypoints on segments, and points spread over them."""
         kp, camera, samples = frame.keypoints, frame.camera, self._sampler.take(frame, clusters)
         label = clusters.labels_at(kp.raw_px).astype(np.int64)
@@ -179,7 +179,7 @@ class MovedSegments:
         chosen = spread(samples.cluster, self.config.max_points)
         points_cam_m = samples.points_cam_m[chosen]
         px = camera.project(points_cam_m)
-        return _Points(
+        return _SegmentPoints(
             np.concatenate((label[on], samples.cluster[chosen])),
             np.concatenate((kp.raw_px[on], camera.distort(px))).astype(np.float64),
             np.concatenate((kp.px[on], px)).astype(np.float64),
@@ -187,7 +187,7 @@ class MovedSegments:
         )
 
 
-class _Points(NamedTuple):
+class _SegmentPoints(NamedTuple):
     """P points on segments: which (P,), where as taken and undistorted (P, 2) [px], and how deep (P,) [m]."""
 
     segment: I64

@@ -13,10 +13,10 @@ class NothingConfig:
 
     def build(self, parts: Parts | None = None) -> Segmenter:
         """Return the segmenter."""
-        return Nothing()
+        return NoSegmenter()
 
 
-class Nothing:
+class NoSegmenter:
     """Says of every image that nothing in it may move."""
 
     def __call__(self, image: RgbdImage) -> Semantics:

@@ -4,7 +4,7 @@ from stillroom.data.result import FrameResult, Tracked
 from stillroom.data.semantics import Semantics
 
 
-class Nothing:
+class NoObserver:
     """Looks at nothing: stands where an observer may stand, so that no caller asks whether there is one."""
 
     def on_frame(self, tracked: Tracked, semantics: Semantics, result: FrameResult) -> None:

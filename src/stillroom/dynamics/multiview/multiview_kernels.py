@@ -12,15 +12,16 @@ from stillroom.geometry.camera import Lens
 from stillroom.geometry.distortion import distorted
 
 I8 = NDArray[np.int8]
+CELL = 2
+DROPPED = 2
+NOT_ASKED = 2
+
 
 UNSEEN, STATIC, STEEP, BORDER, UNCONFIRMED, DYNAMIC = range(6)
 """Verdicts on a point: out of view, or no depth there; nothing stands before it; seen from too different directions;
 what stands before it has depths too different; its keyframe did not see through there; something has come."""
 
 AGREES, EMPTY, UNKNOWN = 1, -1, 0
-CELL = 2
-DROPPED = 2
-NOT_ASKED = 2
 
 
 class Limits(NamedTuple):
@@ -119,7 +120,7 @@ class Points(NamedTuple):
     z_m: F64
 
 
-class Judged(NamedTuple):
+class PointVerdicts(NamedTuple):
     """What is found out of points.
 
     Attributes:
@@ -151,7 +152,7 @@ def project(points: Points, there: There, lens: Lens, height: int, width: int) -
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def judge_points(
-    chosen: I64, points: Points, here: Here, there: There, window: I32, limits: Limits, judged: Judged
+    chosen: I64, points: Points, here: Here, there: There, window: I32, limits: Limits, judged: PointVerdicts
 ) -> None:
     """Test chosen points of keyframes against the present depth image (DynaSLAM III.C).
 

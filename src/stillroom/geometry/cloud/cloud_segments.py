@@ -44,12 +44,12 @@ def spread_labels(
     image = np.full(depth_m.shape, unknown, dtype=np.int16)
     if labels.size:
         z = np.ascontiguousarray(points_m[..., 2])
-        samples = Samples(labels, z, grid.rows, grid.columns)
+        samples = DepthSamples(labels, z, grid.rows, grid.columns)
         spread_into(samples, depth_m, np.float32(step_m), np.float32(step_share), np.int16(unknown), image)
     return image
 
 
-class Samples(NamedTuple):
+class DepthSamples(NamedTuple):
     """Labels and depths of samples (h, w), and the pixel rows (h,) and columns (w,) that they were taken at."""
 
     labels: I16
@@ -59,7 +59,9 @@ class Samples(NamedTuple):
 
 
 @njit(nogil=True, cache=True)
-def spread_into(samples: Samples, depth_m: F32, step_m: float, step_share: float, unknown: int, image: I16) -> None:
+def spread_into(
+    samples: DepthSamples, depth_m: F32, step_m: float, step_share: float, unknown: int, image: I16
+) -> None:
     """Fill the label image (H, W); see `spread_labels`."""
     labels, z, rows, columns = samples
     last_i, last_j = len(rows) - 1, len(columns) - 1
@@ -189,7 +191,7 @@ class SegmentLimits:
 
 
 @dataclass(frozen=True)
-class Segments:
+class CloudSegments:
     """K clusters, largest first.
 
     Attributes:
@@ -225,7 +227,7 @@ class _Pieces:
 
 def segment(
     points_m: F32, free: Bool, owner: I16, boxes_xyxy_px: Floats, grid: RayGrid, limits: SegmentLimits
-) -> Segments:
+) -> CloudSegments:
     """Cluster the foreground of each box, and apart from them what belongs to none (OC-SLAM 2.4).
 
     What a box's edge cut off a person, a hand or the head, is given back; crumbs in a box join its largest cluster.
@@ -317,7 +319,7 @@ def _bounds(piece_of: I32, grid: RayGrid, n: int) -> tuple[F64, F64]:
     return low, high
 
 
-def _largest_first(pieces: _Pieces, target: I32, piece_of: I32, limits: SegmentLimits) -> Segments:
+def _largest_first(pieces: _Pieces, target: I32, piece_of: I32, limits: SegmentLimits) -> CloudSegments:
     """Put pieces together, drop what is too small, and measure what is left."""
     of_voxel = target[pieces.of_voxel]
     size = np.bincount(of_voxel, minlength=len(target))
@@ -325,7 +327,7 @@ def _largest_first(pieces: _Pieces, target: I32, piece_of: I32, limits: SegmentL
     rank = np.full(len(target) + 1, NO_SEGMENT, dtype=np.int32)  # the last is that of no piece
     rank[order] = np.arange(len(order))
     total, centroid, lower, upper = measure(pieces.mean_m, pieces.weight, rank[of_voxel], len(order))
-    return Segments(
+    return CloudSegments(
         segment_of=np.where(piece_of >= 0, rank[np.append(target, len(target))[piece_of]], NO_SEGMENT).astype(np.int32),
         box=pieces.box[order],
         n_points=size[order].astype(np.int32),

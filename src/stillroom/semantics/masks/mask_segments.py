@@ -52,7 +52,7 @@ class HalfImage:
 
 
 @dataclass(frozen=True, eq=False)
-class Segments:
+class MaskSegments:
     """Which pixels of an image, at half its size, may move.
 
     Attributes:

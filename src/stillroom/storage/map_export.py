@@ -16,15 +16,15 @@ from stillroom.geometry.arrays import F64, I64, U8
 from stillroom.geometry.camera import Camera
 from stillroom.storage.schema import StoredMap
 
+GREY = 128
+_CAMERA_ID = 1
+
+
 # The map as COLMAP's text model (colmap.github.io/format.html): cameras.txt, images.txt, points3D.txt.
 #
 # COLMAP counts from 1, puts the centre of the upper left pixel at (0.5, 0.5) and stores `T_cam_world`. The keypoints
 # of a
 # map are undistorted, so the camera is a pinhole; images for it must be undistorted too.
-
-
-GREY = 128
-_CAMERA_ID = 1
 
 
 @dataclass(frozen=True)

@@ -18,10 +18,12 @@ from numba.core.registry import CPUDispatcher
 
 from stillroom.warmup import work
 
-# Where compiled kernels are kept, and a mark there that all of them are.
-
-
 logger = logging.getLogger(__name__)
+PACKAGES = "stillroom", "stillroom_scenes"
+"""Whose kernels are counted: the core's, and the renderer's where a room is rendered."""
+
+
+# Where compiled kernels are kept, and a mark there that all of them are.
 
 
 def kernel_cache() -> Path | None:
@@ -64,10 +66,6 @@ def _stamp(renderer: bool) -> Path | None:
             digest.update(f"{path.relative_to(root.parent)}\n".encode() + path.read_bytes())
     digest.update(f"{root} {numba.__version__} {platform.python_version()} {llvm.get_host_cpu_name()}".encode())
     return folder / f"warm-{digest.hexdigest()[:24]}{'-renderer' if renderer else ''}"
-
-
-PACKAGES = "stillroom", "stillroom_scenes"
-"""Whose kernels are counted: the core's, and the renderer's where a room is rendered."""
 
 
 class WarmUpProgress(Protocol):

@@ -11,14 +11,16 @@ from stillroom.geometry.arrays import F64, I32, U8, Bool, Floats
 from stillroom.geometry.camera import Camera
 from stillroom.viz.marks import INK, MOVING, SHIFT, STATIC, Color, draw_dot, draw_legend, enlarged
 
-# The ants' way through an image: nodes, circles, hulls of what moves, and the bands around them (Figure 6).
-
-
 PATH: Color = (255, 196, 0)
 BAND: Color = (255, 140, 110)
 UNTESTED: Color = (150, 156, 166)
 FADED = 0.8
 DARKER = 0.75
+CONTRAST = 2.0
+"""How much more contrast differences have than the images."""
+
+
+# The ants' way through an image: nodes, circles, hulls of what moves, and the bands around them (Figure 6).
 
 
 @dataclass(frozen=True)
@@ -127,10 +129,6 @@ def _faded(image: U8) -> U8:
 
 
 # The earlier image brought to where the present one would have it, and what differs (PSPNet-SLAM, Figure 5).
-
-
-CONTRAST = 2.0
-"""How much more contrast differences have than the images."""
 
 
 def compensated(earlier: U8, H_then_now: F64, camera: Camera) -> tuple[U8, Bool]:

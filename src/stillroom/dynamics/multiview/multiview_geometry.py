@@ -9,15 +9,15 @@ import numpy as np
 from stillroom.bounds import bounded
 from stillroom.data.frame import Frame
 from stillroom.data.map import Map
-from stillroom.dynamics.multiview.kernels import (
+from stillroom.dynamics.multiview.multiview_kernels import (
     BORDER,
     DYNAMIC,
     UNSEEN,
     Growth,
     Here,
-    Judged,
     Limits,
     Points,
+    PointVerdicts,
     There,
     grow,
     judge_points,
@@ -174,7 +174,7 @@ class Geometry:
         """Test chosen points (M,); return their verdicts (M,) and note them in it."""
         q = seen
         limits = self._limits._replace(patch_px=self.config.patch_px + round(q.displaced_px))
-        judge_points(chosen, q.points, q.here, q.there, self._window, limits, Judged(q.verdict, q.before_px))
+        judge_points(chosen, q.points, q.here, q.there, self._window, limits, PointVerdicts(q.verdict, q.before_px))
         verdicts: U8 = q.verdict[chosen]
         return verdicts
 

@@ -13,13 +13,13 @@ from stillroom.geometry.arrays import U8
 from stillroom.semantics.detector import suppress
 from stillroom.semantics.onnx.fit import STRETCH, Colors, Fit
 from stillroom.semantics.onnx.layouts import Layout, Told
-from stillroom.semantics.onnx.session import failures, first_line, image_input
+from stillroom.semantics.onnx.onnx_session import failures, first_line, image_input
 
 SLACK = 1e-3  # of a probability in half precision
 
 
 @dataclass(frozen=True)
-class Reading:
+class DetectorInput:
     """How an image becomes a detector's input.
 
     Attributes:
@@ -36,7 +36,7 @@ class Reading:
 class DetectionNetwork:
     """A network with one image as input, and what it tells of it."""
 
-    def __init__(self, session: Any, name: object, reading: Reading) -> None:
+    def __init__(self, session: Any, name: object, reading: DetectorInput) -> None:
         """Take an opened network.
 
         Args:

@@ -38,10 +38,10 @@ def fingerprint(job: tuple[str, str, int]) -> str:
     outcome = run(open_dataset(sequence), configure(method, seed=seed), RunOptions(root=None, pictures=0))
     with TemporaryDirectory() as folder:
         path = Path(folder) / "trajectory.tum"
-        outcome.slam.trajectory().write_tum(path)
+        outcome.system.trajectory().write_tum(path)
         trajectory = sha256(path.read_bytes()).hexdigest()
-    outcome.slam.dense_mapper.refresh()
-    cloud, dense = outcome.slam.dense_mapper.cloud(), "–"
+    outcome.system.dense_mapper.refresh()
+    cloud, dense = outcome.system.dense_mapper.cloud(), "–"
     if cloud is not None:
         arrays = (cloud.positions_m, cloud.normals, cloud.rgb, cloud.weight)
         dense = sha256(b"".join(array.tobytes() for array in arrays)).hexdigest()

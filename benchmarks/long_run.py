@@ -26,17 +26,17 @@ def main() -> None:
     asked = parser.parse_args()
     cv2.setNumThreads(1)
     room = open_synthetic("synthetic:rooms,cache=off")
-    slam = build(configure(asked.method), room.camera)
+    system = build(configure(asked.method), room.camera)
     spent_ms, lost = [], 0
     for index in range(min(asked.frames, len(room))):
         image = room.load(index)
         begin = time.thread_time()
-        lost += slam.process(image).T_world_cam is None
+        lost += system.process(image).T_world_cam is None
         spent_ms.append(1e3 * (time.thread_time() - begin))
         if (index + 1) % A_PART == 0:
             print(
                 f"{index + 1:6d} frames: {np.mean(spent_ms[-A_PART:]):.1f} ms a frame, "
-                f"{len(slam.map.points)} points, {lost} lost, {peak_memory_mb():.0f} MB at most",
+                f"{len(system.map.points)} points, {lost} lost, {peak_memory_mb():.0f} MB at most",
                 flush=True,
             )
 

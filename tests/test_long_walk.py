@@ -12,29 +12,29 @@ from stillroom.data.image import RgbdImage
 from stillroom.data.result import FrameResult
 from stillroom.evaluation.timing import peak_memory_mb
 from stillroom.methods.registry import configure
-from stillroom.system import Slam, build
+from stillroom.system import System, build
 from stillroom_scenes.config import open_synthetic
 from stillroom_scenes.room import SyntheticRoom
 
 cv2.setNumThreads(1)
 
 
-def run(slam: Slam, room: SyntheticRoom, frames: range) -> list[FrameResult]:
+def run(system: System, room: SyntheticRoom, frames: range) -> list[FrameResult]:
     """Track frames, one after the other."""
-    return [slam.process(room.load(index)) for index in frames]
+    return [system.process(room.load(index)) for index in frames]
 
 
-def peak_bytes(slam: Slam, image: RgbdImage) -> tuple[FrameResult, int]:
+def peak_bytes(system: System, image: RgbdImage) -> tuple[FrameResult, int]:
     """Track a frame; return the result, and how much memory was held at most beyond what was held before."""
     tracemalloc.reset_peak()
     before, _ = tracemalloc.get_traced_memory()
-    result = slam.process(image)
+    result = system.process(image)
     return result, tracemalloc.get_traced_memory()[1] - before
 
 
-def map_bytes(slam: Slam) -> int:
+def map_bytes(system: System) -> int:
     """Return what the rows in use of the map's tables take."""
-    tables = slam.map.keyframes, slam.map.keypoints, slam.map.points
+    tables = system.map.keyframes, system.map.keypoints, system.map.points
     return sum(view.nbytes for table in tables for view in table.views.values())
 
 
@@ -46,13 +46,13 @@ def test_what_lies_elsewhere_in_the_map_is_not_looked_at() -> None:
     room = open_synthetic("synthetic:building,rooms=3,frames=600,cache=off")
     poses, peaks, n_points = [], [], []
     for copies in (1, 150):
-        slam = build(configure("orb-slam2", overrides=["loops.enabled=false"]), room.camera)
-        run(slam, room, range(40))
-        add_far_copies(slam.map, copies)
-        n_points.append(len(slam.map.points))
-        run(slam, room, range(40, 50))
+        system = build(configure("orb-slam2", overrides=["loops.enabled=false"]), room.camera)
+        run(system, room, range(40))
+        add_far_copies(system.map, copies)
+        n_points.append(len(system.map.points))
+        run(system, room, range(40, 50))
         tracemalloc.start()
-        outcome = [peak_bytes(slam, room.load(index)) for index in range(50, 70)]
+        outcome = [peak_bytes(system, room.load(index)) for index in range(50, 70)]
         tracemalloc.stop()
         poses.append([result.T_world_cam for result, _ in outcome])
         peaks.append(np.array([n_bytes for _, n_bytes in outcome]))
@@ -66,14 +66,14 @@ def test_what_lies_elsewhere_in_the_map_is_not_looked_at() -> None:
 def test_walking_where_one_has_been_makes_the_map_no_larger() -> None:
     """Two rounds of 300 frames through one room: the second finds the first's points again."""
     room = open_synthetic("synthetic:rooms,rooms=1,frames=600,cache=off")
-    slam = build(configure("orb-slam2"), room.camera)
+    system = build(configure("orb-slam2"), room.camera)
     sizes = []
     for half in (range(300), range(300, 600)):
-        outcome = run(slam, room, half)
+        outcome = run(system, room, half)
         assert all(result.T_world_cam is not None for result in outcome)
-        alive = slam.map.alive_keyframes()
-        seen_by = slam.map.points.n_keyframes[slam.map.points.is_alive]
-        sizes.append((len(alive), int(slam.map.points.is_alive.sum()), float(seen_by.mean())))
+        alive = system.map.alive_keyframes()
+        seen_by = system.map.points.n_keyframes[system.map.points.is_alive]
+        sizes.append((len(alive), int(system.map.points.is_alive.sum()), float(seen_by.mean())))
     (first, first_points, first_seen), (second, second_points, second_seen) = sizes
     assert second < 1.6 * first, sizes
     assert second_points < 1.6 * first_points, sizes
@@ -87,9 +87,9 @@ def test_ten_thousand_frames_are_tracked_and_the_map_stays_small(
     """A walk through six rooms and back, five times and more."""
     room = open_synthetic("synthetic:rooms,cache=off")
     assert len(room) == 10_000
-    slam = build(configure("orb-slam2"), room.camera)
-    outcome = run(slam, room, range(len(room)))
-    record_property("bytes of map a keyframe", map_bytes(slam) / len(slam.map.keyframes))
+    system = build(configure("orb-slam2"), room.camera)
+    outcome = run(system, room, range(len(room)))
+    record_property("bytes of map a keyframe", map_bytes(system) / len(system.map.keyframes))
     record_property("peak memory MB", peak_memory_mb())
     assert sum(result.T_world_cam is None for result in outcome) == 0
-    assert map_bytes(slam) / len(slam.map.keyframes) < 300_000
+    assert map_bytes(system) / len(system.map.keyframes) < 300_000

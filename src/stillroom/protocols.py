@@ -30,7 +30,7 @@ from stillroom.data.map import Map
 from stillroom.data.motion import Motion
 from stillroom.data.question import Pending as Pending
 from stillroom.data.question import Question
-from stillroom.data.result import FrameResult, Tracked
+from stillroom.data.result import FrameResult, FrameSummary, Tracked
 from stillroom.data.semantics import Semantics
 from stillroom.data.trajectory import Trajectory
 from stillroom.geometry.arrays import F32, F64, I64, U8, Bool
@@ -310,7 +310,7 @@ class MapKeeping(Protocol):
             moving: Pixels that move (H, W).
         """
 
-    def note(self, result: FrameResult) -> None:
+    def note(self, result: FrameSummary) -> None:
         """Take note of where a frame was; every frame is noted."""
 
 

@@ -1,4 +1,4 @@
-"""The system: one image in, one pose out. Read `Slam.process` first."""
+"""The system: one image in, one pose out. Read `System.process` first."""
 
 from dataclasses import dataclass, field, replace
 
@@ -8,7 +8,7 @@ from stillroom.bounds import check
 from stillroom.config import SlamConfig
 from stillroom.data.image import RgbdImage
 from stillroom.data.map import Map, submaps
-from stillroom.data.result import FrameResult, Tracked
+from stillroom.data.result import FrameResult, FrameSummary, Tracked
 from stillroom.data.semantics import Semantics
 from stillroom.data.trajectory import Trajectory
 from stillroom.dynamics.asking import Asking
@@ -41,7 +41,7 @@ from stillroom.viz.no_observer import NoObserver
 
 
 @dataclass
-class Slam:
+class System:
     """An RGB-D SLAM system, put together by `build`."""
 
     schedule: Schedule
@@ -61,7 +61,7 @@ class Slam:
     keeper: MapKeeping
     map: Map
     observer: RunObserver
-    results: list[FrameResult] = field(default_factory=list)
+    results: list[FrameSummary] = field(default_factory=list)
     first_keyframe: int = 0
 
     def process(self, image: RgbdImage) -> FrameResult:
@@ -111,7 +111,7 @@ class Slam:
         """The piece of the map that the trajectories lie in."""
         return submaps.main(self.map, self.first_keyframe)
 
-    def apart(self) -> list[FrameResult]:
+    def apart(self) -> list[FrameSummary]:
         """Return the frames that were tracked in sub-maps that are not joined with the main one."""
         in_main = {result.index for result in self._in_main()}
         return [result for result in self.results if result.T_world_cam is not None and result.index not in in_main]
@@ -156,18 +156,20 @@ class Slam:
             T_reference_cam=self._in_reference(tracked),
             submap=self._submap_of(tracked),
             recovery=tracked.recovery,
+            motion=replace(tracked.motion, is_static=tracked.is_static),
+            keypoints=frame.keypoints,
         )
-        self.results.append(result)
-        self.keeper.note(result)
+        self.results.append(result.summary)
+        self.keeper.note(result.summary)
         self.observer.on_frame(tracked, semantics.result(), result)
         return result
 
-    def _in_main(self) -> list[FrameResult]:
+    def _in_main(self) -> list[FrameSummary]:
         """Return the frames that have a pose in the main sub-map by now."""
         main, submap = self.main_submap, self.map.keyframes.submap
         return [r for r in self.results if r.T_reference_cam is not None and submap[r.reference_keyframe] == main]
 
-    def _pose_now(self, result: FrameResult) -> F64:
+    def _pose_now(self, result: FrameSummary) -> F64:
         assert result.T_reference_cam is not None
         return self.map.keyframe_pose(result.reference_keyframe) @ result.T_reference_cam
 
@@ -190,7 +192,7 @@ def build(
     clock: StageClock | None = None,
     world: Map | None = None,
     keeper: MapKeeping | None = None,
-) -> Slam:
+) -> System:
     """Put a system together.
 
     Args:
@@ -221,7 +223,7 @@ def build(
     dense_mapper = config.dense.build(parts)
     joiner = config.joining.build(parts, places, after=(dense_mapper.refresh,))
     loop_closer = config.loops.build(parts, places, after=(dense_mapper.refresh,))
-    return Slam(
+    return System(
         schedule=schedule or InOrder(),
         segmenter=clock.timed("semantics", segmenter),
         clusterer=clock.timed("clusters", config.clusters.build(parts)),

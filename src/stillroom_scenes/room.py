@@ -99,7 +99,7 @@ class SyntheticRoom(Recording):
         factor = np.float32(self.camera.depth_factor)
         depth_m = np.divide(stored.depth_units, factor, dtype=np.float32)
         time_s = float(self.timestamps_s[index])
-        return RgbdImage(index, time_s, stored.rgb, depth_m, self._semantics(stored.instance, time_s))
+        return RgbdImage(time_s, stored.rgb, depth_m, index, truth=self._semantics(stored.instance, time_s))
 
     def truth(self, index: int) -> FrameTruth:
         """Return what the renderer knows of frame `index`.

@@ -25,8 +25,7 @@ from stillroom.methods.registry import OWN, method
 from stillroom.pipeline.plots import draw_maps
 from stillroom.semantics.truth import TrueSemanticsConfig
 from stillroom.system import build
-from stillroom.warmup import all_kernels as kernels
-from stillroom.warmup import warm_up
+from stillroom.warmup import kernels, warm_up
 
 BASELINE = method("orb-slam2").config
 THOROUGH = "oc-slam"
@@ -42,20 +41,22 @@ RUNS = (
 def run(config: SlamConfig, folder: Path) -> int:
     """Run a method over rendered frames; do all that can be done with the maps of one. Return the dense map's size."""
     sequence = select(open_dataset("synthetic:walking,frames=90"), "0:60:3")
-    slam = build(config, sequence.camera, TrueSemanticsConfig().build())  # the renderer's boxes: no weights are needed
+    system = build(
+        config, sequence.camera, TrueSemanticsConfig().build()
+    )  # the renderer's boxes: no weights are needed
     painter, thorough = InpaintingConfig().build(sequence.camera), config.method == THOROUGH
     for index in range(len(sequence)):
         image = sequence.load(index)
-        pose = slam.process(image).T_world_cam
+        pose = system.process(image).T_world_cam
         if thorough and pose is not None and image.truth is not None:
-            cloud = slam.dense_mapper.cloud() if index == len(sequence) - 1 else None
-            painter.paint(image, pose, image.truth.movable, slam.map, cloud)
-            painter.remember(slam.results[-1].reference_keyframe, image, image.truth.movable)
-    slam.map.keyframes.T_world_cam[0, 0, 3] += 0.05
-    slam.dense_mapper.refresh()
-    cloud = slam.dense_mapper.cloud()
+            cloud = system.dense_mapper.cloud() if index == len(sequence) - 1 else None
+            painter.paint(image, pose, image.truth.movable, system.map, cloud)
+            painter.remember(system.results[-1].reference_keyframe, image, image.truth.movable)
+    system.map.keyframes.T_world_cam[0, 0, 3] += 0.05
+    system.dense_mapper.refresh()
+    cloud = system.dense_mapper.cloud()
     if thorough and cloud is not None:
-        draw_maps(folder, slam, cloud, config.method)
+        draw_maps(folder, system, cloud, config.method)
         for name in chosen_formats(["all"]):
             FORMATS[name](cloud, folder, ExportConfig())
     return 0 if cloud is None else len(cloud)

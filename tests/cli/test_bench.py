@@ -71,7 +71,7 @@ def test_accuracy_has_a_row_for_each_method_and_a_run_for_each_seed(
 def test_accuracy_gives_the_figures_of_a_run_by_itself(accuracy_figures: tuple[Result, dict[str, Any]]) -> None:
     dataset = select(open_dataset(ROOM), FRAMES)
     outcome = run(dataset, configure("oc-slam", None, [TRUTH], seed=1), RunOptions(root=None))
-    alone = evaluate(outcome.slam.trajectory(), dataset.groundtruth, n_given=N_FRAMES)
+    alone = evaluate(outcome.system.trajectory(), dataset.groundtruth, n_given=N_FRAMES)
     benched = accuracy_figures[1]["rows"][1]["runs"][1]
     assert benched["evaluation"]["as_given"]["ate_se3_m"]["rmse"] == alone.as_given.ate_se3_m.rmse
     assert benched["n_tracked"] == alone.n_tracked == N_FRAMES

@@ -16,7 +16,7 @@ from stillroom.cli import main as command_line
 from stillroom.cli.main import COMMANDS, application, main
 from stillroom.cli.output import STDOUT, RunBar
 from stillroom.config import to_toml
-from stillroom.data.result import FrameResult, TrackingState
+from stillroom.data.result import FrameSummary, TrackingState
 from stillroom.data.trajectory import Trajectory, read_tum
 from stillroom.errors import StillroomError
 from stillroom.evaluation.report import HEADER
@@ -27,8 +27,8 @@ def first_line(text: str | None) -> str:
     return (text or "").strip().splitlines()[0]
 
 
-def result(state: TrackingState) -> FrameResult:
-    return FrameResult(0, 0.0, state, None, 1000, 900, 321, 7, False, -1, None)
+def result(state: TrackingState) -> FrameSummary:
+    return FrameSummary(0, 0.0, state, None, 1000, 900, 321, 7, False, -1, None)
 
 
 @pytest.fixture(scope="module")

@@ -13,8 +13,7 @@ from typer.testing import CliRunner
 
 from stillroom import __version__
 from stillroom.cli import warmup as command
-from stillroom.warmup import all_kernels as kernels
-from stillroom.warmup import is_warm, warm_up
+from stillroom.warmup import is_warm, kernels, warm_up
 
 ONE_KERNEL = """
 import numpy as np
@@ -26,7 +25,7 @@ COLD = """
 import importlib, pkgutil
 import stillroom, stillroom_scenes
 from stillroom.warmup import warm_up
-from stillroom.warmup import all_kernels as kernels
+from stillroom.warmup import kernels
 done = warm_up(renderer=True)
 for package in (stillroom, stillroom_scenes):
     for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):

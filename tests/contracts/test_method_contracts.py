@@ -34,10 +34,10 @@ def stand_in(method: Method) -> Callable[[], Segmenter]:
 
 @pytest.mark.parametrize("method", OWN, ids=lambda method: method.name)
 def test_method_keeps_its_promises_in_the_synthetic_room(method: Method, room: Dataset) -> None:
-    slam = check_method(method, room, stand_in(method))
-    assert all(result.T_world_cam is not None for result in slam.results)
+    system = check_method(method, room, stand_in(method))
+    assert all(result.T_world_cam is not None for result in system.results)
     assert room.groundtruth is not None
-    error = ate(slam.trajectory(), room.groundtruth)
+    error = ate(system.trajectory(), room.groundtruth)
     # In one second in which hardly anything is hidden, any of them tracks well.
     assert error.se3_m.rmse < 0.25 * error.still_camera_m
 
@@ -71,16 +71,16 @@ def test_the_contract_sees_a_wrong_description(room: Dataset, spoil: Callable[[M
 
 def test_the_contract_sees_chance(room: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
     """A pose that depends on what was drawn by lot elsewhere breaks it."""
-    from stillroom.system import Slam
+    from stillroom.system import System
 
-    honest, generator = Slam.process, np.random.default_rng()
+    honest, generator = System.process, np.random.default_rng()
 
-    def process(slam: Slam, image: object) -> object:
-        result = honest(slam, image)  # type: ignore[arg-type]
+    def process(system: System, image: object) -> object:
+        result = honest(system, image)  # type: ignore[arg-type]
         if result.T_world_cam is not None:
             result.T_world_cam[0, 3] += generator.normal(0.0, 1e-12)
         return result
 
-    monkeypatch.setattr(Slam, "process", process)
+    monkeypatch.setattr(System, "process", process)
     with pytest.raises(AssertionError, match="same input and seed"):
         check_method(good(room), select(room, ":8"))

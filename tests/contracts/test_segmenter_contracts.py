@@ -42,7 +42,7 @@ def a_walk(frames: int = 8) -> list[RgbdImage]:
         depth_m[30:110, x : x + 40] = 1.5
         mask[30:110, x : x + 40] = True
         truth = Semantics(120, 160, (Box(x, 30, x + 39, 109, "person", 1.0),), mask)
-        images.append(RgbdImage(10 + k, 1000.25 + k / 30, rgb, depth_m, truth))
+        images.append(RgbdImage(1000.25 + k / 30, rgb, depth_m, 10 + k, truth=truth))
     return images
 
 
@@ -113,7 +113,7 @@ def test_yolo_fastest_keeps_the_contract(variant: str, carry: bool, bonn: Path) 
     for index in range(420, 424):
         stamp, name = files[index]
         rgb = cv2.cvtColor(cv2.imread(str(bonn / name)), cv2.COLOR_BGR2RGB)
-        images.append(RgbdImage(index, float(stamp), rgb, np.zeros(rgb.shape[:2], np.float32)))
+        images.append(RgbdImage(float(stamp), rgb, np.zeros(rgb.shape[:2], np.float32), index))
     config = YoloFastestConfig(variant, carry=CarryConfig(enabled=carry))
     answers = check_segmenter(config.build, images)
     assert all(answer.boxes for answer in answers)

@@ -73,14 +73,14 @@ def test_negative_values_are_refused() -> None:
 def test_a_system_with_it_makes_no_points_of_people() -> None:
     dataset = open_dataset(TINY)
     chosen = ["keypoints.kind=masked", "semantics.kind=truth", "semantics.masks=true"]
-    slam = build(with_overrides(SlamConfig(), chosen), dataset.camera)
+    system = build(with_overrides(SlamConfig(), chosen), dataset.camera)
     for place in range(11, 17):
-        slam.process(dataset.load(place))
-    keyframes = slam.map.alive_keyframes()
+        system.process(dataset.load(place))
+    keyframes = system.map.alive_keyframes()
     assert len(keyframes) >= 1
-    assert slam.results[-1].n_static < slam.results[-1].n_keypoints
+    assert system.results[-1].n_static < system.results[-1].n_keypoints
     for keyframe in keyframes:
-        rows = slam.map.rows(keyframe)
-        on_people = ~slam.map.keypoints.is_static[rows]
+        rows = system.map.rows(keyframe)
+        on_people = ~system.map.keypoints.is_static[rows]
         assert on_people.any()
-        assert (slam.map.keypoints.point[rows][on_people] < 0).all()
+        assert (system.map.keypoints.point[rows][on_people] < 0).all()

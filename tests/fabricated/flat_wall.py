@@ -45,7 +45,7 @@ def before_the_wall(frame: Frame, T_world_cam: np.ndarray, figure: Box | None = 
         depth_m[y0 : y1 + 1, x0 : x1 + 1] = figure_m
         there = np.where(in_box(frame, figure), np.float32(figure_m), keypoints.depth_m)
         keypoints = replace(keypoints, depth_m=there, right_px=frame.camera.right_coordinate(keypoints.px[:, 0], there))
-    image = RgbdImage(frame.image.index, frame.image.timestamp_s, BLACK, depth_m)
+    image = RgbdImage(frame.image.timestamp_s, BLACK, depth_m, frame.image.index)
     return replace(frame, image=image, keypoints=keypoints)
 
 

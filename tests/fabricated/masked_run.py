@@ -125,16 +125,16 @@ def masked_run(spec: str, detector: str, frames: str) -> MaskedRun:
     shown = select(room, frames)
     newest = _Newest()
     config = configure("oc-slam", None, [f"semantics.kind={detector}"], seed=0)
-    slam = build(config, room.camera, observer=newest)
+    system = build(config, room.camera, observer=newest)
     run = MaskedRun(room, truths)
     for place, truth in enumerate(truths):
         image = shown.load(place)
-        slam.process(image)
+        system.process(image)
         if not newest.tracked.lost:
             said = newest.tracked.motion.moving.copy()
             run.images.append(Seen(image.timestamp_s, said, truth.instance, image.depth_m > 0, truth.moving))
-    slam.dense_mapper.refresh()
-    cloud = slam.dense_mapper.cloud()
+    system.dense_mapper.refresh()
+    cloud = system.dense_mapper.cloud()
     assert cloud is not None
     # The run's world is its first camera.
     run.cloud = replace(cloud, positions_m=se3.transform(truths[0].T_world_cam, cloud.positions_m.astype(np.float64)))

@@ -33,7 +33,7 @@ def depth_of_box(T_world_cam: np.ndarray, lower_m: tuple, upper_m: tuple, camera
 def image(depth_m: np.ndarray, index: int = 0, seed: int = 0) -> RgbdImage:
     """An image of this depth, coloured at random."""
     rgb = np.random.default_rng(seed).integers(0, 256, (*depth_m.shape, 3), dtype=np.uint8)
-    return RgbdImage(index, index / 30.0, rgb, depth_m.astype(np.float32))
+    return RgbdImage(index / 30.0, rgb, depth_m.astype(np.float32), index)
 
 
 def flat(depth_m: float, camera: Camera = CAMERA) -> np.ndarray:

@@ -85,7 +85,7 @@ class SmallWorld:
             depth_m=depth_m,
             right_px=CAMERA.right_coordinate(px[:, 0], depth_m),
         )
-        image = RgbdImage(index, index / 30.0, BLACK, NO_DEPTH)
+        image = RgbdImage(index / 30.0, BLACK, NO_DEPTH, index)
         return Frame(image, CAMERA, SCALES, keypoints, np.ones(n, dtype=np.bool_)), seen
 
 

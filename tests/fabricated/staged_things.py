@@ -77,7 +77,7 @@ def seen(things: Sequence[Thing], time_s: float, boxes: Sequence[int] = (), rim_
         depth_m[thing.window], labels[thing.window] = thing.depth_m, k
     column, row = np.rint(frame.keypoints.raw_px).astype(int).T
     keypoints = replace(frame.keypoints, depth_m=depth_m[row, column])
-    image = RgbdImage(round(time_s * 30), time_s, BLACK, depth_m)
+    image = RgbdImage(time_s, BLACK, depth_m, round(time_s * 30))
     covered = [list(boxes).index(k) if k in boxes else -1 for k in range(len(things))]
     semantics = Semantics(480, 640, tuple(things[k].box for k in boxes), clusters=clusters_of(labels, covered))
     return replace(frame, image=image, keypoints=keypoints), semantics

@@ -18,7 +18,7 @@ IDEAL = Camera(640, 480, 535.4, 539.2, 320.1, 247.6)
 
 def image_of(gray: np.ndarray, depth_m: np.ndarray | float = 2.0) -> RgbdImage:
     depth = np.broadcast_to(np.asarray(depth_m, np.float32), gray.shape)
-    return RgbdImage(0, 0.0, np.repeat(gray[..., None], 3, axis=2), np.ascontiguousarray(depth))
+    return RgbdImage(0.0, np.repeat(gray[..., None], 3, axis=2), np.ascontiguousarray(depth), 0)
 
 
 def textured(seed: int = 0) -> np.ndarray:

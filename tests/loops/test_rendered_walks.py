@@ -12,7 +12,7 @@ from stillroom.geometry import se3
 from stillroom.loops.loop_closer import LoopCloser
 from stillroom.loops.verification import Loop
 from stillroom.methods.registry import configure
-from stillroom.system import Slam, build
+from stillroom.system import System, build
 
 
 @dataclass
@@ -25,7 +25,7 @@ class Walk:
         verdicts: Whether each was kept.
     """
 
-    slam: Slam
+    system: System
     truth: Trajectory
     claims_off_m: list[float] = field(default_factory=list)
     ate_before_m: list[float] = field(default_factory=list)
@@ -33,11 +33,11 @@ class Walk:
     verdicts: list[bool] = field(default_factory=list)
 
     def ate_m(self) -> float:
-        return ate(self.slam.trajectory(), self.truth).se3_m.rmse
+        return ate(self.system.trajectory(), self.truth).se3_m.rmse
 
     def claim_off_m(self, loop: Loop) -> float:
         """How far a keyframe is from where the loop says, as seen from the candidate."""
-        table = self.slam.map.keyframes
+        table = self.system.map.keyframes
         there, here = (
             self.truth.T_world_cam[np.abs(self.truth.timestamps_s - table.timestamp_s[k]).argmin()]
             for k in (loop.candidate, loop.keyframe)
@@ -50,8 +50,8 @@ def walk(spec: str, method: str, monkeypatch: pytest.MonkeyPatch, *overrides: st
     """Track a sequence to its end, and watch each loop while it is being closed."""
     sequence = open_dataset(spec)
     assert sequence.groundtruth is not None
-    slam = build(configure(method, overrides=overrides), sequence.camera)
-    seen = Walk(slam, sequence.groundtruth)
+    system = build(configure(method, overrides=overrides), sequence.camera)
+    seen = Walk(system, sequence.groundtruth)
     correct = LoopCloser.correct
 
     def watched(closer: LoopCloser, loop: Loop) -> bool:
@@ -63,9 +63,9 @@ def walk(spec: str, method: str, monkeypatch: pytest.MonkeyPatch, *overrides: st
 
     monkeypatch.setattr(LoopCloser, "correct", watched)
     for index in range(len(sequence)):
-        slam.process(sequence.load(index))
-    slam.close()
-    assert sum(result.T_world_cam is None for result in slam.results) == 0
+        system.process(sequence.load(index))
+    system.close()
+    assert sum(result.T_world_cam is None for result in system.results) == 0
     return seen
 
 

@@ -62,7 +62,7 @@ def test_their_sieves_keep_the_contract(method: Method) -> None:
 
 
 def test_a_sieve_reads_back_what_it_wrote_beside_the_maps_points(outcome: RunOutcome) -> None:
-    world = outcome.slam.map
+    world = outcome.system.map
     if outcome.method != moving_points.METHOD.name:
         assert moving_points.COLUMN not in world.points.views, "nobody pays for another sieve's column"
         return

@@ -67,9 +67,9 @@ def copy(kept: Kept, tmp_path: Path) -> Path:
 
 
 def test_the_file_holds_the_map_of_the_run(kept: Kept, room: Dataset) -> None:
-    stored, slam = load_map(kept.path), kept.outcome.slam
+    stored, system = load_map(kept.path), kept.outcome.system
     assert kept.outcome.map_file == kept.path
-    assert_same_map(stored.world, slam.map)
+    assert_same_map(stored.world, system.map)
     assert check_map(kept.path) == []
     assert not log_of(kept.path).exists()
     assert stored.camera == room.camera
@@ -84,7 +84,7 @@ def test_the_config_in_the_file_is_that_of_the_run(kept: Kept, tmp_path: Path) -
 
 
 def test_the_file_holds_the_trajectory_of_the_run(kept: Kept) -> None:
-    [found], expected = trajectories(load_map(kept.path)), kept.outcome.slam.trajectory()
+    [found], expected = trajectories(load_map(kept.path)), kept.outcome.system.trajectory()
     np.testing.assert_array_equal(found.timestamps_s, expected.timestamps_s)
     np.testing.assert_allclose(found.T_world_cam, expected.T_world_cam, atol=1e-12)
     assert len(found) == 30
@@ -92,7 +92,7 @@ def test_the_file_holds_the_trajectory_of_the_run(kept: Kept) -> None:
 
 def test_keeping_a_map_changes_no_pose(kept: Kept, room: Dataset) -> None:
     plain = run(select(room, frames=":30"), CONFIG, RunOptions(root=None, pictures=0))
-    np.testing.assert_array_equal(plain.slam.trajectory().T_world_cam, kept.outcome.slam.trajectory().T_world_cam)
+    np.testing.assert_array_equal(plain.system.trajectory().T_world_cam, kept.outcome.system.trajectory().T_world_cam)
 
 
 def test_tracking_against_a_map_leaves_it_as_it_is(kept: Kept, room: Dataset) -> None:
@@ -101,19 +101,19 @@ def test_tracking_against_a_map_leaves_it_as_it_is(kept: Kept, room: Dataset) ->
     config = replace(CONFIG, dense=DenseMapperConfig())
     outcome = run(select(room, frames="20:"), config, on(kept.path, MapUse.LOCALIZE))
     assert outcome.n_tracked == 25
-    assert not any(result.is_keyframe for result in outcome.slam.results)
-    assert outcome.slam.dense_mapper.cloud() is None
+    assert not any(result.is_keyframe for result in outcome.system.results)
+    assert outcome.system.dense_mapper.cloud() is None
     assert outcome.map_file is None
     assert sha256(kept.path) == before
     assert sorted(kept.path.parent.iterdir()) == listed
     untouched = load_map(kept.path).world
     for name in ("T_world_cam", "is_alive"):
         expected = getattr(untouched.keyframes, name)
-        np.testing.assert_array_equal(getattr(outcome.slam.map.keyframes, name), expected)
-    np.testing.assert_array_equal(outcome.slam.map.points.position_m, untouched.points.position_m)
+        np.testing.assert_array_equal(getattr(outcome.system.map.keyframes, name), expected)
+    np.testing.assert_array_equal(outcome.system.map.points.position_m, untouched.points.position_m)
     # The poses are those of the run that made the map, where both saw a frame.
-    made = {round(r.timestamp_s, 6): r.T_world_cam for r in kept.outcome.slam.results}
-    both = [r for r in outcome.slam.results if round(r.timestamp_s, 6) in made]
+    made = {round(r.timestamp_s, 6): r.T_world_cam for r in kept.outcome.system.results}
+    both = [r for r in outcome.system.results if round(r.timestamp_s, 6) in made]
     assert len(both) == 10
     errors_m = [np.linalg.norm(r.T_world_cam[:3, 3] - made[round(r.timestamp_s, 6)][:3, 3]) for r in both]
     assert max(errors_m) < 0.02
@@ -132,16 +132,16 @@ def test_going_on_in_a_map(copy: Path, room: Dataset) -> None:
     outcome = run(select(room, frames="15:", reverse=True), CONFIG, on(copy, MapUse.CONTINUE))
     assert outcome.n_tracked == 30
     stored = load_map(copy)
-    assert_same_map(stored.world, outcome.slam.map)
+    assert_same_map(stored.world, outcome.system.map)
     assert check_map(copy) == []
     assert [session.first_keyframe for session in stored.sessions] == [0, n_before]
     first, second = trajectories(stored)
     assert (len(first), len(second)) == (30, 30)
-    np.testing.assert_allclose(second.T_world_cam, outcome.slam.trajectory().T_world_cam, atol=1e-12)
+    np.testing.assert_allclose(second.T_world_cam, outcome.system.trajectory().T_world_cam, atol=1e-12)
     # Both lie in one world: the same true place has the same pose.
     apart_m = np.linalg.norm(first.positions_m[15:] - second.positions_m[::-1][:15], axis=1)
     assert np.median(apart_m) < 0.02
-    keyframes = outcome.slam.keyframe_trajectory()
+    keyframes = outcome.system.keyframe_trajectory()
     assert np.all(np.diff(keyframes.timestamps_s) > 0)
 
 
@@ -150,11 +150,11 @@ def test_going_on_somewhere_else_begins_a_sub_map(copy: Path) -> None:
     config = replace(CONFIG, recovery=replace(CONFIG.recovery, patience=2))
     before = load_map(copy).world
     outcome = run(elsewhere, config, on(copy, MapUse.CONTINUE))
-    states = [result.T_world_cam is not None for result in outcome.slam.results]
+    states = [result.T_world_cam is not None for result in outcome.system.results]
     assert states == [False, False, True, True, True, True, True, True]
     stored = load_map(copy)
     assert check_map(copy) == []
-    assert_same_map(stored.world, outcome.slam.map)
+    assert_same_map(stored.world, outcome.system.map)
     n_before = len(before.keyframes)
     assert set(stored.world.keyframes.submap[:n_before]) == {0}
     assert set(stored.world.keyframes.submap[n_before:]) == {1}
@@ -334,7 +334,7 @@ def assert_survived(path: Path, committed: list[int], room: Dataset) -> None:
         rest, use = select(room, frames=f"{newest + 1 if newest < 29 else 29}:30"), MapUse.CONTINUE
     outcome = run(rest, CONFIG, on(path, use))
     assert outcome.n_tracked == len(rest)
-    assert_same_map(load_map(path).world, outcome.slam.map)
+    assert_same_map(load_map(path).world, outcome.system.map)
     assert check_map(path) == []
     assert not log_of(path).exists()
 

@@ -85,11 +85,11 @@ def test_everything_is_written(finished: RunOutcome) -> None:
 
 
 def test_trajectories_are_those_of_the_system(finished: RunOutcome) -> None:
-    folder, slam = folder_of(finished), finished.slam
+    folder, system = folder_of(finished), finished.system
     for name, trajectory in (
-        ("trajectory.tum", slam.trajectory()),
-        ("trajectory_online.tum", slam.online_trajectory()),
-        ("keyframes.tum", slam.keyframe_trajectory()),
+        ("trajectory.tum", system.trajectory()),
+        ("trajectory_online.tum", system.online_trajectory()),
+        ("keyframes.tum", system.keyframe_trajectory()),
     ):
         written = read_tum(folder / name)
         assert np.allclose(written.timestamps_s, trajectory.timestamps_s, atol=1e-6)
@@ -113,8 +113,8 @@ def test_every_frame_is_listed(finished: RunOutcome) -> None:
     rows = rows_of(folder_of(finished) / "frames.csv")
     assert [int(row["frame"]) for row in rows] == list(range(45))
     assert {row["state"] for row in rows} == {"ok"}
-    assert sum(int(row["is_keyframe"]) for row in rows) >= len(finished.slam.map.alive_keyframes())
-    assert [int(row["inliers"]) for row in rows] == [result.n_inliers for result in finished.slam.results]
+    assert sum(int(row["is_keyframe"]) for row in rows) >= len(finished.system.map.alive_keyframes())
+    assert [int(row["inliers"]) for row in rows] == [result.n_inliers for result in finished.system.results]
 
 
 def test_every_frame_is_timed(finished: RunOutcome) -> None:
@@ -144,11 +144,11 @@ def test_figures_are_those_of_the_trajectory(finished: RunOutcome, room: Dataset
     assert from_json(text) == finished.evaluation
     assert finished.evaluation is not None
     assert room.groundtruth is not None
-    assert finished.evaluation.as_given.ate_se3_m == ate(finished.slam.trajectory(), room.groundtruth).se3_m
+    assert finished.evaluation.as_given.ate_se3_m == ate(finished.system.trajectory(), room.groundtruth).se3_m
     assert finished.evaluation.coverage == 1.0
     own = json.loads(text)["run"]
-    assert own["n_keyframes"] == len(finished.slam.map.alive_keyframes())
-    assert own["static_mean"] == np.mean([result.n_static for result in finished.slam.results])
+    assert own["n_keyframes"] == len(finished.system.map.alive_keyframes())
+    assert own["static_mean"] == np.mean([result.n_static for result in finished.system.results])
     assert own["frame_ms"]["n_frames"] == 45
     assert own["interrupted"] is False
 
@@ -236,7 +236,7 @@ def test_black_and_blind_images_are_remarked_once_and_the_run_goes_on(
         "image 16 has no depth anywhere",
         "image 20 is black",
     ]
-    assert [r.index for r in outcome.slam.results if r.T_world_cam is None] == [20, 21, 22]
+    assert [r.index for r in outcome.system.results if r.T_world_cam is None] == [20, 21, 22]
 
 
 def test_without_ground_truth_there_are_no_figures(room: Dataset, tmp_path: Path) -> None:

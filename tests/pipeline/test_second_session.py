@@ -32,7 +32,7 @@ def assert_localized(outcome: RunOutcome, at_least: float, ate_m: float) -> None
     assert outcome.n_tracked >= at_least * outcome.n_given
     assert outcome.evaluation is not None
     assert outcome.evaluation.as_given.ate_se3_m.rmse <= ate_m
-    assert not any(result.is_keyframe for result in outcome.slam.results)
+    assert not any(result.is_keyframe for result in outcome.system.results)
 
 
 @contextmanager

@@ -39,7 +39,7 @@ def scene(index, x=None, figure=FIGURE, depth=True, occluder_x=None):
         place(figure, x, TOP, 1.5)
     if occluder_x is not None:
         place(OCCLUDER, occluder_x, 40, 0.8)
-    return RgbdImage(index, index / 30, rgb, depth_m if depth else np.zeros_like(depth_m))
+    return RgbdImage(index / 30, rgb, depth_m if depth else np.zeros_like(depth_m), index)
 
 
 def box_at(x, confidence=0.9, label="person", y=TOP):
@@ -272,7 +272,7 @@ def load_bonn(folder: Path, index: int) -> RgbdImage:
     _, depth_file = min(rows("depth.txt"), key=lambda row: abs(float(row[0]) - float(stamp)))
     rgb = cv2.cvtColor(cv2.imread(str(folder / file)), cv2.COLOR_BGR2RGB)
     depth = cv2.imread(str(folder / depth_file), cv2.IMREAD_UNCHANGED)
-    return RgbdImage(index, float(stamp), rgb, depth.astype(np.float32) / 5000)
+    return RgbdImage(float(stamp), rgb, depth.astype(np.float32) / 5000, index)
 
 
 def test_a_chair_that_is_found_does_not_uncover_who_sits_on_it():

@@ -25,7 +25,7 @@ CAMERA = Camera(640, 480, 540.0, 540.0, 320.0, 240.0)
 
 
 def image_of(depth_m: np.ndarray) -> RgbdImage:
-    return RgbdImage(0, 0.0, np.zeros((*depth_m.shape, 3), np.uint8), depth_m.astype(np.float32))
+    return RgbdImage(0.0, np.zeros((*depth_m.shape, 3), np.uint8), depth_m.astype(np.float32), 0)
 
 
 def clusters_of(clusterer: DepthClusterer, image: RgbdImage, boxes: tuple[Box, ...] = ()) -> Clusters:

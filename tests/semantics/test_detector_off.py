@@ -18,7 +18,7 @@ RANGES = [(2, 4), (6, 7)]
 def still(index, truth=True):
     rgb = np.random.default_rng(0).integers(0, 256, (120, 160, 3)).astype(np.uint8)
     known = Semantics(120, 160, (BOX,), np.ones((120, 160), np.bool_))
-    return RgbdImage(index, index / 30, rgb, np.ones((120, 160), np.float32), known if truth else None)
+    return RgbdImage(index / 30, rgb, np.ones((120, 160), np.float32), index, truth=known if truth else None)
 
 
 def answers(segmenter):

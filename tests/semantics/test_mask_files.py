@@ -15,7 +15,7 @@ STAMP_S = 1548339819.87426
 
 
 def image(index=3, stamp_s=STAMP_S):
-    return RgbdImage(index, stamp_s, np.zeros((HEIGHT, WIDTH, 3), np.uint8), np.zeros((HEIGHT, WIDTH), np.float32))
+    return RgbdImage(stamp_s, np.zeros((HEIGHT, WIDTH, 3), np.uint8), np.zeros((HEIGHT, WIDTH), np.float32), index)
 
 
 def labels():

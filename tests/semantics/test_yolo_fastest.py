@@ -22,7 +22,7 @@ SHIPPED_FOLDER = Path(str(files("stillroom.semantics"))) / "weights"
 def as_image(path: Path) -> RgbdImage:
     bgr = cv2.imread(str(path))
     rgb = cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB)
-    return RgbdImage(0, 0.0, rgb, np.zeros(rgb.shape[:2], np.float32))
+    return RgbdImage(0.0, rgb, np.zeros(rgb.shape[:2], np.float32), 0)
 
 
 def expected_edges(box, width, height):
@@ -76,7 +76,7 @@ def test_the_threshold_and_the_classes_are_obeyed(bonn):
 def test_any_image_size_and_read_only_input(shape):
     rgb = np.random.default_rng(1).integers(0, 256, (*shape, 3)).astype(np.uint8)
     rgb.setflags(write=False)
-    image = RgbdImage(0, 0.0, rgb, np.zeros(shape, np.float32))
+    image = RgbdImage(0.0, rgb, np.zeros(shape, np.float32), 0)
     for box in YoloFastestConfig().build_detector(0.001).detect(image):
         assert 0 <= box.x_min_px <= box.x_max_px <= shape[1] - 1
         assert 0 <= box.y_min_px <= box.y_max_px <= shape[0] - 1

@@ -21,7 +21,7 @@ def picture(seed: int = 0, index: int = 7) -> RgbdImage:
     rgb[:, :, 0], rgb[:, :, 2] = np.arange(64) * 3, 200
     units = rng.integers(0, 40000, (48, 64)).astype(np.uint16)
     units[:5] = 0
-    return RgbdImage(index, 12.5, rgb, (units / 5000.0).astype(np.float32))
+    return RgbdImage(12.5, rgb, (units / 5000.0).astype(np.float32), index)
 
 
 def test_depth_is_exact_and_colours_are_close() -> None:
@@ -44,7 +44,7 @@ def test_what_moves_has_no_depth() -> None:
 def test_depth_beyond_sixteen_bits_is_unknown_not_wrong() -> None:
     depth_m = np.full((4, 5), 2.0, np.float32)
     depth_m[1, 2] = 14.0
-    image = RgbdImage(0, 0.0, np.zeros((4, 5, 3), np.uint8), depth_m)
+    image = RgbdImage(0.0, np.zeros((4, 5, 3), np.uint8), depth_m, 0)
     again = restore(compress(0, image, np.zeros((4, 5), np.bool_), 5000.0), 0, 0.0, 5000.0)
     assert again.depth_m[1, 2] == 0
     assert (again.depth_m == 2.0).sum() == 19

@@ -18,7 +18,7 @@ from stillroom.dense.no_dense_map import NoDenseMapConfig
 from stillroom.evaluation.trajectory_errors import ate
 from stillroom.methods.registry import method
 from stillroom.protocols import Dataset
-from stillroom.system import Slam, build
+from stillroom.system import System, build
 from stillroom.tracking.relocalizer import RelocalizerConfig
 
 WITHIN = 10
@@ -30,23 +30,23 @@ def oc_slam(seed: int = 0) -> SlamConfig:
     return replace(method("oc-slam").config, dense=NoDenseMapConfig(), seed=seed)
 
 
-def tracked(dataset: Dataset, config: SlamConfig) -> Slam:
-    slam = build(config, dataset.camera)
+def tracked(dataset: Dataset, config: SlamConfig) -> System:
+    system = build(config, dataset.camera)
     for i in range(len(dataset)):
-        slam.process(dataset.load(i))
-    slam.close()
-    return slam
+        system.process(dataset.load(i))
+    system.close()
+    return system
 
 
-def first_back(slam: Slam, after: int) -> FrameResult:
+def first_back(system: System, after: int) -> FrameResult:
     """The first frame from number `after` on that has a pose in the main piece of the map."""
-    return next(r for r in slam.results if r.index >= after and r.T_world_cam is not None and r.submap == 0)
+    return next(r for r in system.results if r.index >= after and r.T_world_cam is not None and r.submap == 0)
 
 
-def check(dataset: Dataset, slam: Slam, after: int, max_lost: int, max_m: float) -> None:
-    assert first_back(slam, after).index < after + WITHIN
-    assert slam.apart() == []
-    trajectory = slam.trajectory()
+def check(dataset: Dataset, system: System, after: int, max_lost: int, max_m: float) -> None:
+    assert first_back(system, after).index < after + WITHIN
+    assert system.apart() == []
+    trajectory = system.trajectory()
     assert len(trajectory) >= len(dataset) - max_lost
     assert ate(trajectory, dataset.groundtruth).se3_m.rmse <= max_m
 
@@ -56,10 +56,10 @@ class TestKidnap:
 
     def check(self, freiburg1: Path, seed: int) -> None:
         dataset = select(open_dataset(str(freiburg1)), drop=["46:84"])
-        slam = tracked(dataset, SlamConfig(seed=seed))
-        back = first_back(slam, 84)
+        system = tracked(dataset, SlamConfig(seed=seed))
+        back = first_back(system, 84)
         assert back.recovery is Recovery.PLACE
-        check(dataset, slam, 84, WITHIN, 0.03)
+        check(dataset, system, 84, WITHIN, 0.03)
 
     def test_the_place_is_recognised(self, freiburg1: Path) -> None:
         self.check(freiburg1, 0)
@@ -80,9 +80,9 @@ class TestGaps:
     def test_the_camera_is_back_soon_after_the_dark(self, bonn: Path) -> None:
         # The room was seen without people first, as in the whole stretch.
         dataset = select(open_dataset(str(bonn)), frames=":455", drop=["50:385"], blackout=["400:440"])
-        slam = tracked(dataset, oc_slam())
-        check(dataset, slam, 440, 40 + WITHIN, 0.03)
-        assert first_back(slam, 440).recovery is Recovery.PLACE
+        system = tracked(dataset, oc_slam())
+        check(dataset, system, 440, 40 + WITHIN, 0.03)
+        assert first_back(system, 440).recovery is Recovery.PLACE
 
     @pytest.mark.slow
     @pytest.mark.parametrize("seed", [0, 1, 2])
@@ -91,8 +91,8 @@ class TestGaps:
     )
     def test_the_whole_stretch(self, bonn: Path, gap: dict[str, list[str]], after: int, seed: int) -> None:
         dataset = select(open_dataset(str(bonn)), **gap)
-        slam = tracked(dataset, oc_slam(seed))
-        check(dataset, slam, after, 40 + WITHIN if "blackout" in gap else WITHIN, 0.03)
+        system = tracked(dataset, oc_slam(seed))
+        check(dataset, system, after, 40 + WITHIN if "blackout" in gap else WITHIN, 0.03)
 
 
 class TestStrangePlace:
@@ -100,23 +100,23 @@ class TestStrangePlace:
 
     def check(self, bonn: Path, freiburg1: Path, config: SlamConfig, every: int, last: int) -> None:
         room, strange = open_dataset(str(bonn)), open_dataset(str(freiburg1))
-        slam = build(config, room.camera)
+        system = build(config, room.camera)
         for i in range(0, last, every):
-            slam.process(room.load(i))
-        n_known, end_s = len(slam.results), slam.results[-1].timestamp_s
-        n_poses = len(slam.trajectory())
+            system.process(room.load(i))
+        n_known, end_s = len(system.results), system.results[-1].timestamp_s
+        n_poses = len(system.trajectory())
         for k in range(30):
             image = strange.load(5 * k)
-            slam.process(replace(image, index=10_000 + k, timestamp_s=end_s + 1.0 + k / 30.0, truth=None))
-        slam.close()
-        shown = slam.results[n_known:]
+            system.process(replace(image, index=10_000 + k, timestamp_s=end_s + 1.0 + k / 30.0, truth=None))
+        system.close()
+        shown = system.results[n_known:]
         assert all(r.T_world_cam is None or r.submap != 0 for r in shown)
         # They have a piece of their own, which nothing joins and which the trajectory leaves out.
         begun = [r for r in shown if r.recovery is Recovery.NEW_SUBMAP]
         assert len(begun) >= 1
-        assert {r.index for r in slam.apart()} == {r.index for r in shown if r.T_world_cam is not None}
-        assert submaps.unjoined(slam.map).tolist()[0] == 0
-        assert len(slam.trajectory()) == n_poses
+        assert {r.index for r in system.apart()} == {r.index for r in shown if r.T_world_cam is not None}
+        assert submaps.unjoined(system.map).tolist()[0] == 0
+        assert len(system.trajectory()) == n_poses
 
     def test_none_is_accepted(self, bonn: Path, freiburg1: Path) -> None:
         self.check(bonn, freiburg1, SlamConfig(), 2, 100)
@@ -132,19 +132,19 @@ class TestSubmaps:
     @pytest.mark.parametrize("gap", [{"drop": ["46:84"]}, {"blackout": ["40:43"]}], ids=["kidnapped", "blinded"])
     def test_a_new_piece_is_begun_and_joined(self, freiburg1: Path, gap: dict[str, list[str]]) -> None:
         dataset = select(open_dataset(str(freiburg1)), frames=":110", **gap)
-        slam = tracked(dataset, SlamConfig(recovery=RelocalizerConfig(n_places=0, n_keyframes=0, patience=2)))
-        lost = [r.index for r in slam.results if r.state is TrackingState.LOST]
+        system = tracked(dataset, SlamConfig(recovery=RelocalizerConfig(n_places=0, n_keyframes=0, patience=2)))
+        lost = [r.index for r in system.results if r.state is TrackingState.LOST]
         assert 2 <= len(lost) <= 5
-        assert [r.recovery for r in slam.results].count(Recovery.NEW_SUBMAP) == 1
-        assert len(slam.joiner.joined) == 1
-        assert submaps.unjoined(slam.map).tolist() == [0]
-        assert slam.apart() == []
-        assert len(slam.trajectory()) == len(dataset) - len(lost)
-        assert ate(slam.trajectory(), dataset.groundtruth).se3_m.rmse < 0.035
-        assert np.abs(slam.map.keyframes.T_world_cam[:, :3, 3]).max() < 50
+        assert [r.recovery for r in system.results].count(Recovery.NEW_SUBMAP) == 1
+        assert len(system.joiner.joined) == 1
+        assert submaps.unjoined(system.map).tolist() == [0]
+        assert system.apart() == []
+        assert len(system.trajectory()) == len(dataset) - len(lost)
+        assert ate(system.trajectory(), dataset.groundtruth).se3_m.rmse < 0.035
+        assert np.abs(system.map.keyframes.T_world_cam[:, :3, 3]).max() < 50
 
     def test_without_patience_nothing_is_begun(self, freiburg1: Path) -> None:
         dataset = select(open_dataset(str(freiburg1)), frames=":40", blackout=["12:16"])
-        slam = tracked(dataset, SlamConfig(recovery=RelocalizerConfig(n_places=0, n_keyframes=0, patience=0)))
-        assert [r.state for r in slam.results[12:]] == [TrackingState.LOST] * (len(dataset) - 12)
-        assert slam.map.n_submaps == 1
+        system = tracked(dataset, SlamConfig(recovery=RelocalizerConfig(n_places=0, n_keyframes=0, patience=0)))
+        assert [r.state for r in system.results[12:]] == [TrackingState.LOST] * (len(dataset) - 12)
+        assert system.map.n_submaps == 1

@@ -126,9 +126,9 @@ class Shared:
 @pytest.mark.parametrize("low_cost", [NoLowCostConfig(), LowCostConfig()], ids=["without", "with"])
 def test_sieve_2_is_asked_there_before_all_other_stages(low_cost: LowCostConfig | NoLowCostConfig) -> None:
     shared, dataset = Shared(), open_dataset("synthetic:empty")
-    slam = build(SlamConfig(dynamics=shared, low_cost=low_cost), dataset.camera)  # type: ignore[arg-type]
+    system = build(SlamConfig(dynamics=shared, low_cost=low_cost), dataset.camera)  # type: ignore[arg-type]
     for place in range(5):
-        slam.process(dataset.load(place))
+        system.process(dataset.load(place))
     stages = {index: [asked[0] for asked in shared.sieve.asked if asked[1] == index] for index in range(5)}
     assert stages[0] == [Stage.LOCAL_MAP]
     assert stages[1] == [Stage.REFERENCE_KEYFRAME, Stage.LOCAL_MAP], "no velocity is known yet"

@@ -17,7 +17,7 @@ from stillroom.datasets.selection import select
 from stillroom.evaluation.trajectory_errors import ate
 from stillroom.geometry import se3
 from stillroom.protocols import Dataset
-from stillroom.system import Slam, build
+from stillroom.system import System, build
 
 N_FRAMES = 48
 """On fr1 the camera then turns so fast that images blur, and errors differ threefold from seed to seed."""
@@ -26,22 +26,22 @@ N_FRAMES = 48
 @dataclass
 class Run:
     dataset: Dataset
-    slam: Slam
+    system: System
     results: list[FrameResult]
 
     def lost_frame(self, image: RgbdImage) -> Tracked:
         """The frame of an image as tracking hands it over when it does not know where it was taken."""
-        frame = self.slam.features.extract(image)
+        frame = self.system.features.extract(image)
         motion = Motion.none(len(frame), image.height, image.width)
         return Tracked(frame, TrackingState.LOST, None, np.full(len(frame), -1, np.int32), motion, 0)
 
     def recover(self, image: RgbdImage) -> Tracked:
-        return self.slam.recovery.recover(self.lost_frame(image), no_semantics(), self.slam.map)
+        return self.system.recovery.recover(self.lost_frame(image), no_semantics(), self.system.map)
 
 
 def run(dataset: Dataset, n_frames: int = N_FRAMES) -> Run:
-    slam = build(SlamConfig(), dataset.camera)
-    return Run(dataset, slam, [slam.process(dataset.load(i)) for i in range(n_frames)])
+    system = build(SlamConfig(), dataset.camera)
+    return Run(dataset, system, [system.process(dataset.load(i)) for i in range(n_frames)])
 
 
 @pytest.fixture(scope="module")
@@ -76,15 +76,15 @@ def test_every_frame_is_tracked(either_run: Run) -> None:
 def test_the_error_is_small_and_less_than_a_still_cameras(either_run: Run) -> None:
     # Over six seeds: fr1 0.009 to 0.010 m where a still camera has 0.043 m, Bonn 0.011 to 0.013 m against 0.038 m.
     groundtruth = either_run.dataset.groundtruth
-    error = ate(either_run.slam.trajectory(), groundtruth)
+    error = ate(either_run.system.trajectory(), groundtruth)
     assert error.se3_m.rmse < 0.016
     assert error.still_camera_m > 0.035
-    assert ate(either_run.slam.online_trajectory(), groundtruth).se3_m.rmse < 0.018
+    assert ate(either_run.system.online_trajectory(), groundtruth).se3_m.rmse < 0.018
 
 
 def test_the_three_trajectories_fit_together(either_run: Run) -> None:
-    slam = either_run.slam
-    final, online, keyframes = slam.trajectory(), slam.online_trajectory(), slam.keyframe_trajectory()
+    system = either_run.system
+    final, online, keyframes = system.trajectory(), system.online_trajectory(), system.keyframe_trajectory()
     stamps_s = either_run.dataset.timestamps_s[:N_FRAMES]
     np.testing.assert_array_equal(final.timestamps_s, stamps_s)
     np.testing.assert_array_equal(online.timestamps_s, stamps_s)
@@ -96,7 +96,7 @@ def test_the_three_trajectories_fit_together(either_run: Run) -> None:
 
 
 def test_the_map_is_consistent(either_run: Run) -> None:
-    world = either_run.slam.map
+    world = either_run.system.map
     table, points = world.keypoints, world.points
     rows = np.flatnonzero(table.point >= 0)
     assert points.is_alive[table.point[rows]].all()
@@ -112,7 +112,7 @@ def test_the_map_is_consistent(either_run: Run) -> None:
 
 
 def test_most_observations_reproject_within_their_chi_square(either_run: Run) -> None:
-    world, camera = either_run.slam.map, either_run.dataset.camera
+    world, camera = either_run.system.map, either_run.dataset.camera
     table, share = world.keypoints, []
     for k in world.alive_keyframes():
         rows = np.arange(world.rows(k).start, world.rows(k).stop)
@@ -129,9 +129,9 @@ def test_a_frame_from_before_is_recognised(either_run: Run, index: int) -> None:
     found = either_run.recover(either_run.dataset.load(index))
     assert found.recovered
     assert found.state is TrackingState.OK
-    known = either_run.slam.trajectory().T_world_cam[index]
+    known = either_run.system.trajectory().T_world_cam[index]
     assert poses_agree(known, found.T_world_cam, 0.03, 0.02)
-    assert found.n_inliers >= either_run.slam.recovery.config.min_inliers
+    assert found.n_inliers >= either_run.system.recovery.config.min_inliers
 
 
 def test_a_camera_that_was_turned_upside_down_is_recognised(bonn_run: Run) -> None:
@@ -144,7 +144,7 @@ def test_a_camera_that_was_turned_upside_down_is_recognised(bonn_run: Run) -> No
     assert found.recovered
     # The principal point is not the middle: turned about the middle, the image is shifted a little.
     half_turn = se3.exp(np.array([0, 0, 0, 0, 0, np.pi]))
-    known = bonn_run.slam.trajectory().T_world_cam[N_FRAMES - 5] @ half_turn
+    known = bonn_run.system.trajectory().T_world_cam[N_FRAMES - 5] @ half_turn
     slack_rad = np.hypot(camera.width - 1 - 2 * camera.cx, camera.height - 1 - 2 * camera.cy) / camera.fx
     assert poses_agree(known, found.T_world_cam, 0.05, 0.02 + slack_rad)
 
@@ -171,14 +171,14 @@ def covered(image: RgbdImage) -> RgbdImage:
 @pytest.mark.parametrize("spoil", [black, covered])
 def test_a_blackout_is_reported_and_tracking_starts_again(bonn: Path, spoil: Callable[[RgbdImage], RgbdImage]) -> None:
     dataset = select(open_dataset(str(bonn)), frames="0:34")
-    slam = build(SlamConfig(), dataset.camera)
+    system = build(SlamConfig(), dataset.camera)
     dark = range(18, 24)
     for i in range(len(dataset)):
-        slam.process(spoil(dataset.load(i)) if i in dark else dataset.load(i))
-    states = [result.state for result in slam.results]
+        system.process(spoil(dataset.load(i)) if i in dark else dataset.load(i))
+    states = [result.state for result in system.results]
     assert states == [TrackingState.LOST if i in dark else TrackingState.OK for i in range(len(dataset))]
-    assert all(slam.results[i].T_world_cam is None and slam.results[i].reference_keyframe >= -1 for i in dark)
-    trajectory = slam.trajectory()
+    assert all(system.results[i].T_world_cam is None and system.results[i].reference_keyframe >= -1 for i in dark)
+    trajectory = system.trajectory()
     assert len(trajectory) == len(dataset) - len(dark)
     # In one piece: what comes after the dark is placed in the map from before it.
     assert ate(trajectory, dataset.groundtruth).se3_m.rmse < 0.016
@@ -186,20 +186,20 @@ def test_a_blackout_is_reported_and_tracking_starts_again(bonn: Path, spoil: Cal
 
 def test_black_frames_at_the_start_only_put_it_off(freiburg1: Path) -> None:
     dataset = select(open_dataset(str(freiburg1)), frames="0:6", blackout=["0:3"])
-    slam = build(SlamConfig(), dataset.camera)
-    states = [slam.process(dataset.load(i)).state for i in range(6)]
+    system = build(SlamConfig(), dataset.camera)
+    states = [system.process(dataset.load(i)).state for i in range(6)]
     assert states == [TrackingState.NOT_INITIALIZED] * 3 + [TrackingState.OK] * 3
-    assert len(slam.trajectory()) == 3
-    np.testing.assert_array_equal(slam.online_trajectory().T_world_cam[0], np.eye(4))
+    assert len(system.trajectory()) == 3
+    np.testing.assert_array_equal(system.online_trajectory().T_world_cam[0], np.eye(4))
 
 
 def test_frames_without_depth_do_not_start_a_map_but_can_be_tracked_in_one(freiburg1: Path) -> None:
     dataset = open_dataset(str(freiburg1))
-    slam = build(SlamConfig(), dataset.camera)
+    system = build(SlamConfig(), dataset.camera)
     blind = [replace(dataset.load(i), depth_m=np.zeros_like(dataset.load(i).depth_m)) for i in (0, 4, 5)]
-    assert slam.process(blind[0]).state is TrackingState.NOT_INITIALIZED
+    assert system.process(blind[0]).state is TrackingState.NOT_INITIALIZED
     for i in range(1, 4):
-        assert slam.process(dataset.load(i)).state is TrackingState.OK
+        assert system.process(dataset.load(i)).state is TrackingState.OK
     for image in blind[1:]:
-        assert slam.process(image).state is TrackingState.OK
-    assert ate(slam.trajectory(), dataset.groundtruth).se3_m.rmse < 0.02
+        assert system.process(image).state is TrackingState.OK
+    assert ate(system.trajectory(), dataset.groundtruth).se3_m.rmse < 0.02

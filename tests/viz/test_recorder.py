@@ -24,7 +24,7 @@ CAMERA = Camera(64, 48, 50.0, 50.0, 32.0, 24.0)
 
 
 def frame_at(index: int) -> tuple[Tracked, Semantics, FrameResult]:
-    image = RgbdImage(index, index / 30, np.full((48, 64, 3), (200, 120, 40), np.uint8), np.ones((48, 64), np.float32))
+    image = RgbdImage(index / 30, np.full((48, 64, 3), (200, 120, 40), np.uint8), np.ones((48, 64), np.float32), index)
     px = np.array([[10, 10], [30, 10], [50, 10]], np.float32)
     n = len(px)
     keypoints = Keypoints(
@@ -34,7 +34,21 @@ def frame_at(index: int) -> tuple[Tracked, Semantics, FrameResult]:
     frame = Frame(image, CAMERA, ScaleLevels(), keypoints, np.array([True, False, True]))
     motion = Motion(np.array([True, True, False]), np.zeros((48, 64), bool))
     tracked = Tracked(frame, TrackingState.OK, np.eye(4), np.array([7, -1, -1], np.int32), motion)
-    result = FrameResult(index, index / 30, TrackingState.OK, np.eye(4), n, 1, 1, 1, False, 0, np.eye(4))
+    result = FrameResult(
+        index,
+        index / 30,
+        TrackingState.OK,
+        np.eye(4),
+        n,
+        1,
+        1,
+        1,
+        False,
+        0,
+        np.eye(4),
+        motion=motion,
+        keypoints=keypoints,
+    )
     return tracked, Semantics(48, 64), result
 
 

@@ -18,7 +18,7 @@ from stillroom.pipeline import SILENT, RunProgress
 from stillroom.protocols import Dataset
 from stillroom.semantics.depth_clusters import NoClustersConfig
 from stillroom.semantics.no_segmenter import NothingConfig
-from stillroom.system import Slam
+from stillroom.system import System
 
 HEADER = ("what decides", "ATE [m]", "tracked", "static kept", "moving found", "object found", "its pixels", "wrong")
 """Names of the columns of `Ablated.row`; the last four need a rendered sequence."""
@@ -125,7 +125,7 @@ def ablated(
     """
     onlookers: list[TruthOnlooker] = []
 
-    def observe(slam: Slam) -> TruthOnlooker:
+    def observe(system: System) -> TruthOnlooker:
         assert things is not None, "asked only where the truth is known"
         onlookers.append(TruthOnlooker(things))
         return onlookers[-1]

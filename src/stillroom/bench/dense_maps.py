@@ -32,7 +32,7 @@ from stillroom.geometry.align import align_poses
 from stillroom.geometry.arrays import F64, Floats
 from stillroom.pipeline import SILENT, RunProgress
 from stillroom.protocols import Dataset, Parts, RenderedDataset
-from stillroom.system import Slam, build
+from stillroom.system import System, build
 
 HEADER = ("dense map", "points", "ghosts", "suspects", "complete", "error median", "astray")
 """Names of the columns of `MapFigures.row`."""
@@ -81,20 +81,20 @@ def dense_maps(
     cv2.setNumThreads(1)
     cv2.setRNGSeed(config.seed % 2**31)
     mapping = _Twins(mapped)
-    slam = build(replace(config, dense=NoDenseMapConfig()), dataset.camera, observer=mapping)
+    system = build(replace(config, dense=NoDenseMapConfig()), dataset.camera, observer=mapping)
     for name, removal in ((WITH_REMOVAL, True), (WITHOUT_REMOVAL, False)):
         one = replace(dense, carving=replace(dense.carving, removal=removal))
-        mapping.mappers[name] = one.build(Parts(dataset.camera, slam.map))
+        mapping.mappers[name] = one.build(Parts(dataset.camera, system.map))
     progress.start(len(dataset))
     try:
-        _track_all(dataset, slam, progress)
+        _track_all(dataset, system, progress)
     finally:
         progress.finish()
-        slam.close()
+        system.close()
     for mapper in mapping.mappers.values():
         mapper.refresh()
     clouds = {name: mapper.cloud() for name, mapper in mapping.mappers.items()}
-    return DenseMaps(clouds, _final_poses(slam), len(dataset))
+    return DenseMaps(clouds, _final_poses(system), len(dataset))
 
 
 class _Twins:
@@ -115,20 +115,20 @@ class _Twins:
                 mapper.carve(image, tracked.T_world_cam, moving)
 
 
-def _track_all(dataset: Dataset, slam: Slam, progress: RunProgress) -> None:
+def _track_all(dataset: Dataset, system: System, progress: RunProgress) -> None:
     for place in range(len(dataset)):
         try:
             image = dataset.load(place)
         except FrameError:
             progress.frame(None)
             continue
-        progress.frame(slam.process(image))
+        progress.frame(system.process(image))
 
 
-def _final_poses(slam: Slam) -> dict[int, F64]:
+def _final_poses(system: System) -> dict[int, F64]:
     return {
-        result.index: slam.map.keyframe_pose(result.reference_keyframe) @ result.T_reference_cam
-        for result in slam.results
+        result.index: system.map.keyframe_pose(result.reference_keyframe) @ result.T_reference_cam
+        for result in system.results
         if result.T_reference_cam is not None
     }
 

@@ -17,7 +17,7 @@ from stillroom.geometry.arrays import U8
 from stillroom.geometry.camera import Camera
 from stillroom.pipeline import SILENT, RunOptions, RunProgress, run
 from stillroom.protocols import Dataset
-from stillroom.system import Slam
+from stillroom.system import System
 from stillroom.viz.film import contact_sheet
 from stillroom.viz.geometry_pictures import AntWalk, compensated, draw_ant_walk, draw_difference, draw_moving_points
 from stillroom.viz.png import write_png
@@ -112,8 +112,8 @@ def geometry_table(
     """
     made: list[GeometryOnlooker] = []
 
-    def observe(slam: Slam) -> GeometryOnlooker:
-        made.append(trial.build(slam, config.seed))
+    def observe(system: System) -> GeometryOnlooker:
+        made.append(trial.build(system, config.seed))
         return made[0]
 
     options = RunOptions(root=None, pictures=0, observe=observe)

@@ -23,7 +23,7 @@ from stillroom.geometry.arrays import I64, Bool
 from stillroom.geometry.pixels import Shape, grown, values_at
 from stillroom.protocols import Parts, RenderedDataset
 from stillroom.schedule import Done
-from stillroom.system import Slam
+from stillroom.system import System
 
 EXHAUSTIVE = "exhaustive"
 KEPT_IMAGES = 40
@@ -55,9 +55,9 @@ class GeometryTrialConfig:
     repeats: int = 3
     picture_of: int | None = None
 
-    def build(self, slam: Slam, seed: int) -> "GeometryOnlooker":
+    def build(self, system: System, seed: int) -> "GeometryOnlooker":
         """Return who looks on at a system's run."""
-        return GeometryOnlooker(self, slam, seed)
+        return GeometryOnlooker(self, system, seed)
 
 
 @dataclass(frozen=True)
@@ -88,12 +88,12 @@ class GeometryOnlooker:
         shown: The image to draw: the one that was asked for, else one in which much moves.
     """
 
-    def __init__(self, config: GeometryTrialConfig, slam: Slam, seed: int) -> None:
+    def __init__(self, config: GeometryTrialConfig, system: System, seed: int) -> None:
         """Start without a past."""
-        self.config, self._slam, self._seed = config, slam, seed
-        parts = Parts(slam.mapper.camera, slam.map, seed)
+        self.config, self._system, self._seed = config, system, seed
+        parts = Parts(system.mapper.camera, system.map, seed)
         self._sieve = replace(config.homography, search=EXHAUSTIVE).build(parts)
-        self._asking = Asking(self._sieve, slam.map)
+        self._asking = Asking(self._sieve, system.map)
         keyframes = replace(config.multi_view.keyframes, grid_px=0)
         self._multi_view = replace(config.multi_view, keyframes=keyframes).build()
         self._jumps = JumpFollower()
@@ -107,7 +107,7 @@ class GeometryOnlooker:
         """Compare the ways on an image; one without a pose is left out."""
         if tracked.T_world_cam is None:
             return
-        frame, T_cam_world, world = tracked.frame, se3.inverse(tracked.T_world_cam), self._slam.map
+        frame, T_cam_world, world = tracked.frame, se3.inverse(tracked.T_world_cam), self._system.map
         known = semantics if self.config.network else nothing(frame.image.height, frame.image.width)
         unmatched = Matches.of(np.full(len(frame), -1, dtype=np.int32))
         self._images.append(frame.image)

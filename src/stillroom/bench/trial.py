@@ -8,7 +8,7 @@ import numpy as np
 
 from stillroom.config import SlamConfig
 from stillroom.data.image import RgbdImage
-from stillroom.data.result import FrameResult
+from stillroom.data.result import FrameSummary
 from stillroom.data.semantics import Semantics
 from stillroom.dense.no_dense_map import NoDenseMapConfig
 from stillroom.evaluation.report import Evaluation, percent
@@ -16,7 +16,7 @@ from stillroom.evaluation.timing import StageClock
 from stillroom.pipeline import SILENT, RunOptions, RunProgress, run
 from stillroom.protocols import Dataset, RunObserver, Segmenter
 from stillroom.semantics.detector import FrameRange, WithheldSegmenter
-from stillroom.system import Slam, segmenter_of
+from stillroom.system import System, segmenter_of
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class FrameAverages:
         return self.static / self.keypoints if self.keypoints else 0.0
 
     @staticmethod
-    def over(results: Sequence[FrameResult]) -> "FrameAverages | None":
+    def over(results: Sequence[FrameSummary]) -> "FrameAverages | None":
         """Return the averages of some frames of a run; None where there are none."""
         if not results:
             return None
@@ -126,7 +126,7 @@ def attempt(
     seed: int,
     progress: RunProgress = SILENT,
     withheld: tuple[FrameRange, ...] = (),
-    observe: Callable[[Slam], RunObserver] | None = None,
+    observe: Callable[[System], RunObserver] | None = None,
 ) -> Trial:
     """Run a method over a sequence from a seed, and write nothing.
 
@@ -150,7 +150,7 @@ def attempt(
     if outcome.interrupted:
         raise KeyboardInterrupt
     # A lost frame has no verdict worth counting: nothing was rejected there because nothing was tracked.
-    tracked = [result for result in outcome.slam.results if result.T_world_cam is not None]
+    tracked = [result for result in outcome.system.results if result.T_world_cam is not None]
     boxed = [result for result in tracked if result.index in noting.occupied]
     return Trial(
         seed=seed,

@@ -107,7 +107,7 @@ def _compared(dataset: Dataset, baseline: RunOutcome, ours: RunOutcome) -> tuple
     truth = dataset.groundtruth
     if truth is None or ours.folder is None or ours.evaluation is None or baseline.evaluation is None:
         return ()
-    estimates = {outcome.method: outcome.slam.trajectory() for outcome in (ours, baseline)}
+    estimates = {outcome.method: outcome.system.trajectory() for outcome in (ours, baseline)}
     return draw_plots(ours.folder / PICTURES, estimates, truth, f"{ours.method} and {baseline.method}")
 
 

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from stillroom.pipeline import RunOutcome, Source
     from stillroom.pipeline.inpainted_sequence import InpaintingRecorder, InpaintingRecorderConfig
     from stillroom.protocols import Dataset
-    from stillroom.system import Slam
+    from stillroom.system import System
 
 INTERRUPTED = 130
 MAP_EVERY = 30
@@ -80,8 +80,8 @@ def _paint(chosen: "SlamConfig", source: "Source", wanted: "InpaintingRecorderCo
     ensure_warm(STDERR, rendered(dataset) is not None)
     made: list[InpaintingRecorder] = []
 
-    def observe(slam: "Slam") -> "InpaintingRecorder":
-        made.append(_recorder(wanted, folder, dataset, slam))
+    def observe(system: "System") -> "InpaintingRecorder":
+        made.append(_recorder(wanted, folder, dataset, system))
         return made[0]
 
     options = RunOptions(folder=folder, pictures=0, segmenter=segmenter, observe=observe, source=source)
@@ -96,7 +96,7 @@ def _paint(chosen: "SlamConfig", source: "Source", wanted: "InpaintingRecorderCo
 
 
 def _recorder(
-    wanted: "InpaintingRecorderConfig", folder: Path, dataset: "Dataset", slam: "Slam"
+    wanted: "InpaintingRecorderConfig", folder: Path, dataset: "Dataset", system: "System"
 ) -> "InpaintingRecorder":
     """Return a recorder with frames for its sheet from all over the sequence, at the pace of its images."""
     import numpy as np
@@ -107,7 +107,7 @@ def _recorder(
     places = (np.arange(wanted.on_sheet) + 0.9) * len(numbers) / max(1, wanted.on_sheet)
     chosen = [int(number) for number in numbers[np.unique(places.astype(np.int64))]]
     pace_hz = 1.0 / float(np.median(np.diff(stamps_s))) if len(stamps_s) > 1 else 30.0
-    return wanted.build(folder, dataset.camera, slam, chosen, pace_hz, painted_error(dataset))
+    return wanted.build(folder, dataset.camera, system, chosen, pace_hz, painted_error(dataset))
 
 
 def _report(outcome: "RunOutcome", recorder: "InpaintingRecorder") -> None:

@@ -19,7 +19,7 @@ from rich.progress import (
 )
 from rich.table import Table
 
-from stillroom.data.result import FrameResult, TrackingState
+from stillroom.data.result import FrameSummary, TrackingState
 from stillroom.evaluation.report import HEADER, Evaluation, lines, rows
 
 # The two streams, and how errors and warnings look on them.
@@ -136,7 +136,7 @@ class RunBar:
         self._bar.start()
         self._task = self._bar.add_task("starting", total=n_frames)
 
-    def frame(self, result: FrameResult | None) -> None:
+    def frame(self, result: FrameSummary | None) -> None:
         """Move it on by a frame."""
         self._done += 1
         self._times_s.append(time.perf_counter())
@@ -150,7 +150,7 @@ class RunBar:
         """Leave it as it is."""
         self._bar.stop()
 
-    def _text(self, result: FrameResult | None, with_color: bool) -> str:
+    def _text(self, result: FrameSummary | None, with_color: bool) -> str:
         elapsed_s = self._times_s[-1] - self._times_s[0]
         rate = f"{(len(self._times_s) - 1) / elapsed_s:5.1f} frames/s" if elapsed_s > 0 else ""
         if result is None:
@@ -182,7 +182,7 @@ class FrameBar:
         self._task = self._bars.add_task(self.label, total=n_frames)
         self._bars.start()
 
-    def frame(self, result: FrameResult | None) -> None:
+    def frame(self, result: FrameSummary | None) -> None:
         """Move it on by a frame."""
         if self._task is not None:
             self._bars.advance(self._task)

@@ -156,7 +156,7 @@ def _sentences(outcome: "RunOutcome") -> list[str]:
     if outcome.n_bad:
         images = "1 image" if outcome.n_bad == 1 else f"{outcome.n_bad} images"
         sentences.append(f"not tracked, as they could not be read: {images}")
-    world = outcome.slam.map
+    world = outcome.system.map
     n_points = int(world.points.is_alive.sum())
     text = f"map: {len(world.alive_keyframes())} keyframes, {n_points} points"
     cost = next((stage for stage in outcome.clock.summary() if stage.stage == FRAME), None)

@@ -9,23 +9,28 @@ import numpy as np
 from stillroom.data.semantics import Semantics
 from stillroom.geometry.arrays import F32, U8
 
+NO_INDEX = -1
+"""Index of an image that belongs to no sequence."""
+
 
 @dataclass(frozen=True)
 class RgbdImage:
     """A colour image with registered depth.
 
     Attributes:
-        index: Place of the image in its sequence, from 0.
         timestamp_s: Time of the colour image [s].
         rgb: Colours (H, W, 3) uint8, RGB order, as taken (distorted).
         depth_m: Depth (H, W) float32 [m] on the colour pixels; 0 where unknown.
+        index: Place of the image in its sequence, from 0; `Slam.process` counts images that have none.
+        name: Name of its colour file without folder and suffix; "" for an image that never was a file.
         truth: What a renderer knows of the image (exact boxes and masks); None on real data.
     """
 
-    index: int
     timestamp_s: float
-    rgb: U8
-    depth_m: F32
+    rgb: U8 = field(repr=False)
+    depth_m: F32 = field(repr=False)
+    index: int = NO_INDEX
+    name: str = ""
     truth: Semantics | None = field(default=None, repr=False)
 
     @cached_property

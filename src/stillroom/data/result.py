@@ -1,9 +1,9 @@
 """What tracking says of one frame."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from enum import Enum
 
-from stillroom.data.frame import Frame
+from stillroom.data.frame import Frame, Keypoints
 from stillroom.data.motion import Motion
 from stillroom.geometry.arrays import F64, I32, Bool
 
@@ -80,8 +80,8 @@ class Tracked:
 
 
 @dataclass(frozen=True)
-class FrameResult:
-    """What `process` returns: light enough to keep for every frame.
+class FrameSummary:
+    """What is kept of every frame.
 
     Attributes:
         index, timestamp_s: Place and time of the image in its sequence.
@@ -109,3 +109,21 @@ class FrameResult:
     T_reference_cam: F64 | None
     submap: int = 0
     recovery: Recovery = Recovery.NONE
+
+
+@dataclass(frozen=True)
+class FrameResult(FrameSummary):
+    """What `process` returns.
+
+    Attributes:
+        motion: What moves: the pixels (H, W), and the verdict on each keypoint.
+        keypoints: The keypoints of the image.
+    """
+
+    motion: Motion = field(kw_only=True, repr=False)
+    keypoints: Keypoints = field(kw_only=True, repr=False)
+
+    @property
+    def summary(self) -> FrameSummary:
+        """The result without its arrays over pixels and keypoints: light enough to keep for every frame."""
+        return FrameSummary(**{each.name: getattr(self, each.name) for each in fields(FrameSummary)})

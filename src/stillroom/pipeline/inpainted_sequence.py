@@ -15,7 +15,7 @@ from stillroom.errors import ConfigError
 from stillroom.geometry.arrays import U8, Bool
 from stillroom.geometry.camera import Camera
 from stillroom.protocols import Dataset
-from stillroom.system import Slam
+from stillroom.system import System
 from stillroom.viz.film import VideoFile, contact_sheet
 from stillroom.viz.png import write_png
 
@@ -91,7 +91,7 @@ class InpaintingRecorderConfig:
         self,
         folder: Path,
         camera: Camera,
-        slam: Slam,
+        system: System,
         sheet_frames: Iterable[int],
         fps: float,
         error: PaintedError | None = None,
@@ -101,7 +101,7 @@ class InpaintingRecorderConfig:
         Args:
             folder: The folder.
             camera: The calibration.
-            slam: The system whose run is looked at.
+            system: The one whose run is looked at.
             sheet_frames: Numbers of the frames for the contact sheet.
             fps: Frames per second of the video [1/s].
             error: Judges what was painted; None where the truth is not known.
@@ -114,7 +114,7 @@ class InpaintingRecorderConfig:
                 raise ConfigError(f"{name} is {getattr(self, name)}; it must be 0 (none) or more")
         video = VideoFile(folder / self.video, fps) if self.video else None
         return InpaintingRecorder(
-            self, folder, self.painting.build(camera), slam, video, frozenset(sheet_frames), error
+            self, folder, self.painting.build(camera), system, video, frozenset(sheet_frames), error
         )
 
 
@@ -139,14 +139,14 @@ class InpaintingRecorder:
         config: InpaintingRecorderConfig,
         folder: Path,
         painter: BackgroundPainter,
-        slam: Slam,
+        system: System,
         video: VideoFile | None,
         sheet_frames: frozenset[int],
         error: PaintedError | None = None,
     ) -> None:
         """Take note; files are made with the first frame."""
         self.config, self.share, self.error, self.n_frames = config, Share(), error, 0
-        self._folder, self._painter, self._slam, self._video = folder, painter, slam, video
+        self._folder, self._painter, self._system, self._video = folder, painter, system, video
         self._sheet_frames = sheet_frames
         self._pairs: list[tuple[str, tuple[U8, U8]]] = []
         self._cloud: DenseCloud | None = None
@@ -160,7 +160,7 @@ class InpaintingRecorder:
         image, moving = tracked.frame.image, tracked.motion.moving
         rgb = image.rgb
         if tracked.T_world_cam is not None:
-            world = self._slam.map
+            world = self._system.map
             painted = self._painter.paint(image, tracked.T_world_cam, moving, world, self._map())
             rgb = painted.rgb
             n_filled = int(np.count_nonzero(painted.is_filled))
@@ -196,5 +196,5 @@ class InpaintingRecorder:
     def _map(self) -> DenseCloud | None:
         """Return the dense map, not older than the config allows."""
         if self.config.map_every > 0 and self.n_frames % self.config.map_every == 0:
-            self._cloud = self._slam.dense_mapper.cloud()
+            self._cloud = self._system.dense_mapper.cloud()
         return self._cloud

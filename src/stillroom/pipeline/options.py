@@ -12,7 +12,7 @@ from stillroom.evaluation.report import Evaluation
 from stillroom.evaluation.timing import StageClock
 from stillroom.pipeline.maps import MapFile
 from stillroom.protocols import Dataset, RunObserver, Segmenter
-from stillroom.system import Slam
+from stillroom.system import System
 
 # What a run came to.
 
@@ -24,7 +24,7 @@ class RunOutcome:
     Attributes:
         method: Its name.
         folder: Where its results lie; None where nothing was to be written.
-        slam: The system after the last frame: trajectories, results of all frames, the map.
+        system: As it is after the last frame: trajectories, results of all frames, the map.
         clock: What the stages cost.
         evaluation: Its figures; None without ground truth, or with a trajectory that cannot be compared to it.
         n_given: Images that the run was given, those that cannot be read among them.
@@ -36,7 +36,7 @@ class RunOutcome:
 
     method: str
     folder: Path | None
-    slam: Slam
+    system: System
     clock: StageClock
     evaluation: Evaluation | None = None
     n_given: int = 0
@@ -53,12 +53,12 @@ class RunOutcome:
     @property
     def n_tracked(self) -> int:
         """Images that have a pose; those in sub-maps that were never joined have none in the trajectory."""
-        return sum(result.T_world_cam is not None for result in self.slam.results) - self.n_apart
+        return sum(result.T_world_cam is not None for result in self.system.results) - self.n_apart
 
     @property
     def n_apart(self) -> int:
         """Images that were tracked in sub-maps that were never joined with the main one."""
-        return len(self.slam.apart())
+        return len(self.system.apart())
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,7 @@ class RunOptions:
     pictures: int = 8
     detector_off: tuple[tuple[int, int], ...] = ()
     segmenter: Segmenter | None = None
-    observe: Callable[[Slam], RunObserver] | None = None
+    observe: Callable[[System], RunObserver] | None = None
     source: Source | None = None
     asked: dict[str, Any] = field(default_factory=dict)
     map: MapFile | None = None

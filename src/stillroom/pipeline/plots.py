@@ -9,7 +9,7 @@ from stillroom.data.clouds import DenseCloud
 from stillroom.data.map import submaps
 from stillroom.data.trajectory import Trajectory
 from stillroom.evaluation.trajectory_errors import ate
-from stillroom.system import Slam
+from stillroom.system import System
 from stillroom.viz.cloud.render import CloudRendererConfig
 from stillroom.viz.cloud.view import default_view
 from stillroom.viz.png import write_png
@@ -48,19 +48,19 @@ def draw_plots(
     return folder / ABOVE, folder / OVER_TIME, folder / ERROR
 
 
-def draw_maps(folder: Path, slam: Slam, cloud: DenseCloud | None, title: str) -> None:
+def draw_maps(folder: Path, system: System, cloud: DenseCloud | None, title: str) -> None:
     """Draw the main sub-map, sparse and, where there is one, dense; nothing before there is a keyframe.
 
     Raises:
         StillroomError: A file cannot be written.
     """
-    table, points, main = slam.map.keyframes, slam.map.points, slam.main_submap
+    table, points, main = system.map.keyframes, system.map.points, system.main_submap
     keyframes = table.T_world_cam[table.is_alive & (table.submap == main)]
     if len(keyframes) == 0:
         return
     ids = np.flatnonzero(points.is_alive)
-    ids = ids[submaps.of_points(ids, slam.map) == main]
-    draw_sparse_map(folder / SPARSE_MAP, points.position_m[ids], keyframes, slam.trajectory(), title=title)
+    ids = ids[submaps.of_points(ids, system.map) == main]
+    draw_sparse_map(folder / SPARSE_MAP, points.position_m[ids], keyframes, system.trajectory(), title=title)
     if cloud is not None and len(cloud):
         view = default_view(cloud, keyframes)
         write_png(folder / DENSE_MAP, CloudRendererConfig().build().render(cloud, view))

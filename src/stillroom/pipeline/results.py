@@ -45,7 +45,7 @@ from stillroom.evaluation.timing import FRAME, peak_memory_mb
 from stillroom.pipeline.options import RunOptions, RunOutcome
 from stillroom.pipeline.provenance import provenance
 from stillroom.protocols import Dataset
-from stillroom.system import Slam
+from stillroom.system import System
 
 log = logging.getLogger(__name__)
 LATEST = "latest"
@@ -186,12 +186,12 @@ def write_config(folder: Path, dataset: Dataset, config: SlamConfig, options: Ru
 
 def write_results(folder: Path, outcome: RunOutcome, truth: Truth | None) -> None:
     """Write everything that a run came to; the trajectories first."""
-    slam = outcome.slam
+    system = outcome.system
     with writing_to(folder):
-        slam.trajectory().write_tum(folder / FINAL)
-        slam.online_trajectory().write_tum(folder / ONLINE)
-        slam.keyframe_trajectory().write_tum(folder / KEYFRAMES)
-        _write_frames(folder / FRAMES, slam, outcome.bad)
+        system.trajectory().write_tum(folder / FINAL)
+        system.online_trajectory().write_tum(folder / ONLINE)
+        system.keyframe_trajectory().write_tum(folder / KEYFRAMES)
+        _write_frames(folder / FRAMES, system, outcome.bad)
         outcome.clock.write_csv(folder / TIMING)
         if truth is not None:
             truth.write(folder)
@@ -238,8 +238,8 @@ def count_frames(folder: Path) -> int | None:
         return None
 
 
-def _write_frames(path: Path, slam: Slam, bad: Sequence[tuple[int, float]]) -> None:
-    submap = slam.map.keyframes.submap
+def _write_frames(path: Path, system: System, bad: Sequence[tuple[int, float]]) -> None:
+    submap = system.map.keyframes.submap
     rows: list[tuple[Any, ...]] = [
         (
             r.index,
@@ -252,7 +252,7 @@ def _write_frames(path: Path, slam: Slam, bad: Sequence[tuple[int, float]]) -> N
             "" if r.T_world_cam is None else int(submap[r.reference_keyframe]),
             "" if r.recovery is Recovery.NONE else r.recovery.value,
         )
-        for r in slam.results
+        for r in system.results
     ]
     rows += [(number, f"{time_s:.6f}", UNREADABLE, 0, 0, 0, 0, "", "") for number, time_s in bad]
     header = ("frame", "timestamp_s", "state", "keypoints", "static", "inliers", "is_keyframe", "submap", "recovery")
@@ -263,7 +263,7 @@ def _write_frames(path: Path, slam: Slam, bad: Sequence[tuple[int, float]]) -> N
 
 
 def _run_figures(outcome: RunOutcome) -> dict[str, Any]:
-    frames, world = outcome.slam.results, outcome.slam.map
+    frames, world = outcome.system.results, outcome.system.map
     frame_time = next((stage for stage in outcome.clock.summary() if stage.stage == FRAME), None)
     peak_mb = peak_memory_mb()
     tracked = [r for r in frames if r.T_world_cam is not None]

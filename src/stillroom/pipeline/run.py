@@ -15,7 +15,7 @@ import numpy as np
 
 from stillroom.config import SlamConfig
 from stillroom.data.image import RgbdImage
-from stillroom.data.result import FrameResult, Tracked, TrackingState
+from stillroom.data.result import FrameResult, FrameSummary, Tracked, TrackingState
 from stillroom.data.semantics import Semantics
 from stillroom.errors import ConfigError, FrameError
 from stillroom.evaluation.timing import FRAME, StageClock
@@ -104,7 +104,7 @@ class RunProgress(Protocol):
     def start(self, n_frames: int) -> None:
         """Take note that so many frames will come."""
 
-    def frame(self, result: FrameResult | None) -> None:
+    def frame(self, result: FrameSummary | None) -> None:
         """Take note of a frame; None is one that could not be read."""
 
     def finish(self) -> None:
@@ -117,7 +117,7 @@ class Silent:
     def start(self, n_frames: int) -> None:
         """Do nothing."""
 
-    def frame(self, result: FrameResult | None) -> None:
+    def frame(self, result: FrameSummary | None) -> None:
         """Do nothing."""
 
     def finish(self) -> None:
@@ -142,7 +142,7 @@ class Remarks:
         if self._n_unreadable == MAX_UNREADABLE:
             log.warning("further images that cannot be read are left out without a word")
 
-    def frame(self, image: RgbdImage, result: FrameResult) -> None:
+    def frame(self, image: RgbdImage, result: FrameSummary) -> None:
         """Remark what is odd about an image, and where tracking is lost and found."""
         is_black = int(image.rgb.max()) < BLACK_BELOW
         self._begins("black", is_black, "image %d is black", image.index)
@@ -192,11 +192,11 @@ def _run(
 ) -> RunOutcome:
     clock, newest = StageClock(), _Newest()
     segmenter = withhold(options.segmenter or segmenter_of(config, dataset.camera), options.detector_off)
-    slam = build(
+    system = build(
         config, dataset.camera, segmenter, observer=newest, clock=clock, world=opened.world, keeper=opened.keeper
     )
     folder = _folder(dataset, config, options)
-    outcome = RunOutcome(config.method, folder, slam, clock, map_file=opened.written)
+    outcome = RunOutcome(config.method, folder, system, clock, map_file=opened.written)
     if folder is not None:
         results.write_config(folder, dataset, config, options)
     with (
@@ -205,14 +205,14 @@ def _run(
         opened.completed(),
     ):
         onlookers = [_recorder(folder, dataset, options.pictures)]
-        onlookers += [options.observe(slam)] if options.observe is not None else []
+        onlookers += [options.observe(system)] if options.observe is not None else []
         progress.start(len(dataset))
         try:
             _track_all(dataset, outcome, stop, newest, onlookers, progress)
         finally:
             progress.finish()
             with clock.stage(FRAME):
-                slam.close()
+                system.close()
             clock.conclude()
     return outcome
 
@@ -236,7 +236,7 @@ def _track_all(
     onlookers: list[RunObserver],
     progress: RunProgress,
 ) -> None:
-    slam, clock, remarks = outcome.slam, outcome.clock, Remarks()
+    system, clock, remarks = outcome.system, outcome.clock, Remarks()
     for place in range(len(dataset)):
         if stop.asked:
             outcome.interrupted = True
@@ -252,7 +252,7 @@ def _track_all(
             progress.frame(None)
             continue
         with clock.stage(FRAME):
-            result = slam.process(image)
+            result = system.process(image)
         clock.next_frame(image.index)
         remarks.frame(image, result)
         newest.show(onlookers)
@@ -278,18 +278,18 @@ def _concluded_in_any_case(
 
 
 def _conclude(outcome: RunOutcome, dataset: Dataset, with_plots: bool) -> None:
-    trajectory, truth, folder = outcome.slam.trajectory(), results.Truth.of(dataset), outcome.folder
+    trajectory, truth, folder = outcome.system.trajectory(), results.Truth.of(dataset), outcome.folder
     outcome.evaluation = evaluate_trajectory(trajectory, truth, outcome.n_given)
     if folder is None:
         return
     results.write_results(folder, outcome, truth)
-    outcome.slam.dense_mapper.refresh()
-    cloud = outcome.slam.dense_mapper.cloud()
+    outcome.system.dense_mapper.refresh()
+    cloud = outcome.system.dense_mapper.cloud()
     if cloud is not None:
         results.write_dense_map(folder, cloud)
     title = f"{outcome.method} on {dataset.name}"
     if with_plots:
-        draw_maps(folder / results.PICTURES, outcome.slam, cloud, title)
+        draw_maps(folder / results.PICTURES, outcome.system, cloud, title)
     if with_plots and truth is not None and outcome.evaluation is not None:
         draw_plots(folder / results.PICTURES, {outcome.method: trajectory}, truth.as_given, title)
     outcome.pictures = tuple(sorted((folder / results.PICTURES).glob("*.png")))

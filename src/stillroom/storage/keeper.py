@@ -4,7 +4,7 @@ from collections import deque
 from dataclasses import dataclass
 
 from stillroom.data.image import RgbdImage
-from stillroom.data.result import FrameResult
+from stillroom.data.result import FrameSummary
 from stillroom.geometry.arrays import Bool
 from stillroom.geometry.camera import Camera
 from stillroom.protocols import Parts
@@ -52,7 +52,7 @@ class MapKeeper:
         pictures = compress(keyframe, image, moving, self._camera.depth_factor) if wanted else None
         self._writer.commit(self._taken_frames(), pictures)
 
-    def note(self, result: FrameResult) -> None:
+    def note(self, result: FrameSummary) -> None:
         """Remember where a frame was, until it is written."""
         frame = FrameNote.of(result, self._session)
         if frame is not None:
@@ -77,5 +77,5 @@ class NoKeeper:
     def keep(self, keyframe: int, image: RgbdImage, moving: Bool) -> None:
         """Do nothing."""
 
-    def note(self, result: FrameResult) -> None:
+    def note(self, result: FrameSummary) -> None:
         """Do nothing."""

@@ -58,4 +58,4 @@ def restore(pictures: Pictures, image_index: int, timestamp_s: float, depth_fact
         raise MapError(f"the images of keyframe {pictures.keyframe} cannot be decoded; the map is damaged")
     rgb: U8 = np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), dtype=np.uint8)
     depth_m = (units.astype(np.float64) / depth_factor).astype(np.float32)
-    return RgbdImage(image_index, timestamp_s, rgb, depth_m)
+    return RgbdImage(timestamp_s, rgb, depth_m, image_index)

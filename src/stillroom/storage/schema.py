@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillroom.data.map import Map
-from stillroom.data.result import FrameResult
+from stillroom.data.result import FrameSummary
 from stillroom.errors import MapError
 from stillroom.geometry.arrays import F64
 from stillroom.geometry.camera import Camera
@@ -131,7 +131,7 @@ class FrameNote:
     T_reference_cam: F64
 
     @classmethod
-    def of(cls, result: FrameResult, session: int) -> "FrameNote | None":
+    def of(cls, result: FrameSummary, session: int) -> "FrameNote | None":
         """Return the note of a frame; None of one that was lost."""
         if result.T_reference_cam is None:
             return None

@@ -16,18 +16,18 @@ import numpy as np
 
 from stillroom.config import SlamConfig, to_toml, updated
 from stillroom.data.image import RgbdImage
-from stillroom.data.result import FrameResult, TrackingState
+from stillroom.data.result import FrameResult, FrameSummary, TrackingState
 from stillroom.data.semantics import nothing
 from stillroom.data.trajectory import Trajectory
 from stillroom.geometry.arrays import F64
 from stillroom.methods.method import Method
 from stillroom.protocols import Dataset, Segmenter
-from stillroom.system import Slam, build
+from stillroom.system import System, build
 
 DARK_FRAMES = 2
 
 
-def check_method(method: Method, dataset: Dataset, segmenter: Callable[[], Segmenter] | None = None) -> Slam:
+def check_method(method: Method, dataset: Dataset, segmenter: Callable[[], Segmenter] | None = None) -> System:
     """Make sure that a method keeps what all methods promise.
 
     Args:
@@ -46,18 +46,18 @@ def check_method(method: Method, dataset: Dataset, segmenter: Callable[[], Segme
     config = method.config
     images = [dataset.load(place) for place in range(len(dataset))]
 
-    def fresh(config: SlamConfig) -> Slam:
+    def fresh(config: SlamConfig) -> System:
         return build(config, dataset.camera, segmenter() if segmenter else None)
 
-    slam = _run(fresh(config), images)
-    _check_results(slam, images)
-    _check_trajectories(slam)
-    assert any(result.state is TrackingState.OK for result in slam.results[1:]), "nothing of the sequence is tracked"
-    _check_same(slam, _run(fresh(config), images), "the same input and seed give another trajectory")
+    system = _run(fresh(config), images)
+    _check_results(system, images)
+    _check_trajectories(system)
+    assert any(result.state is TrackingState.OK for result in system.results[1:]), "nothing of the sequence is tracked"
+    _check_same(system, _run(fresh(config), images), "the same input and seed give another trajectory")
     _run(fresh(replace(config, seed=config.seed + 1)), images[:5])
     _check_darkness(fresh(config), images)
     _check_empty(fresh(config), images[0])
-    return slam
+    return system
 
 
 def _check_description(method: Method) -> None:
@@ -71,17 +71,27 @@ def _check_description(method: Method) -> None:
     assert again == method.config, "the config written as TOML and read again is another one"
 
 
-def _run(slam: Slam, images: Sequence[RgbdImage]) -> Slam:
+def _run(system: System, images: Sequence[RgbdImage]) -> System:
     for image in images:
-        result = slam.process(image)
-        assert result is slam.results[-1], f"image {image.index}: what process returns is not kept"
-    slam.close()
-    return slam
+        result = system.process(image)
+        _check_result(result, system.results[-1], image)
+    system.close()
+    return system
 
 
-def _check_results(slam: Slam, images: Sequence[RgbdImage]) -> None:
-    assert len(slam.results) == len(images), f"{len(images)} images, {len(slam.results)} results"
-    for image, result in zip(images, slam.results, strict=True):
+def _check_result(result: FrameResult, kept: FrameSummary, image: RgbdImage) -> None:
+    where = f"image {image.index}"
+    assert result.T_world_cam is kept.T_world_cam, f"{where}: what process returns is not kept"
+    assert _counts(result) == _counts(kept), f"{where}: what process returns is not kept"
+    assert result.motion.moving.shape == (image.height, image.width), f"{where}: the moving mask is of another size"
+    assert len(result.keypoints) == result.n_keypoints, f"{where}: {len(result.keypoints)} keypoints returned"
+    n_static = int(result.motion.is_static.sum())
+    assert n_static == result.n_static, f"{where}: {n_static} keypoints returned as static, {result.n_static} counted"
+
+
+def _check_results(system: System, images: Sequence[RgbdImage]) -> None:
+    assert len(system.results) == len(images), f"{len(images)} images, {len(system.results)} results"
+    for image, result in zip(images, system.results, strict=True):
         where = f"image {image.index}"
         assert result.index == image.index, f"{where} is numbered {result.index} in the results"
         assert result.timestamp_s == image.timestamp_s, f"{where} has another time in the results"
@@ -93,7 +103,7 @@ def _check_results(slam: Slam, images: Sequence[RgbdImage]) -> None:
         assert 0 <= result.n_inliers <= result.n_keypoints, f"{where}: {result.n_inliers} of {result.n_keypoints}"
         assert 0 <= result.n_static <= result.n_keypoints, f"{where}: {result.n_static} of {result.n_keypoints}"
         assert has_pose or not result.is_keyframe, f"{where}: a keyframe without a pose"
-    assert slam.results[-1].n_keyframes == len(slam.map.alive_keyframes()), "keyframes are counted wrongly"
+    assert system.results[-1].n_keyframes == len(system.map.alive_keyframes()), "keyframes are counted wrongly"
 
 
 def _check_pose(pose: F64 | None, where: str) -> None:
@@ -107,13 +117,13 @@ def _check_pose(pose: F64 | None, where: str) -> None:
     assert np.array_equal(pose[3], [0.0, 0.0, 0.0, 1.0]), f"{where}: the last row of a pose is {pose[3]}"
 
 
-def _check_trajectories(slam: Slam) -> None:
-    tracked_s = [result.timestamp_s for result in slam.results if result.T_world_cam is not None]
-    for name, trajectory in (("final", slam.trajectory()), ("online", slam.online_trajectory())):
+def _check_trajectories(system: System) -> None:
+    tracked_s = [result.timestamp_s for result in system.results if result.T_world_cam is not None]
+    for name, trajectory in (("final", system.trajectory()), ("online", system.online_trajectory())):
         assert trajectory.timestamps_s.tolist() == tracked_s, f"the {name} trajectory is not that of the tracked frames"
         _check_trajectory(trajectory, name)
-    _check_trajectory(slam.keyframe_trajectory(), "keyframes'")
-    assert len(slam.keyframe_trajectory()) == len(slam.map.alive_keyframes()), "keyframes are missing"
+    _check_trajectory(system.keyframe_trajectory(), "keyframes'")
+    assert len(system.keyframe_trajectory()) == len(system.map.alive_keyframes()), "keyframes are missing"
 
 
 def _check_trajectory(trajectory: Trajectory, name: str) -> None:
@@ -122,18 +132,18 @@ def _check_trajectory(trajectory: Trajectory, name: str) -> None:
         _check_pose(pose, f"{name} trajectory, pose {row}")
 
 
-def _check_same(one: Slam, other: Slam, problem: str) -> None:
+def _check_same(one: System, other: System, problem: str) -> None:
     for mine, theirs in ((one.trajectory(), other.trajectory()), (one.online_trajectory(), other.online_trajectory())):
         assert mine.timestamps_s.tobytes() == theirs.timestamps_s.tobytes(), problem
         assert mine.T_world_cam.tobytes() == theirs.T_world_cam.tobytes(), problem
     assert [_counts(result) for result in one.results] == [_counts(result) for result in other.results], problem
 
 
-def _counts(result: FrameResult) -> tuple[int, ...]:
+def _counts(result: FrameSummary) -> tuple[int, ...]:
     return result.n_keypoints, result.n_static, result.n_inliers, result.n_keyframes
 
 
-def _check_darkness(slam: Slam, images: Sequence[RgbdImage]) -> None:
+def _check_darkness(system: System, images: Sequence[RgbdImage]) -> None:
     """Cover the lens in the middle, and let depth fail once."""
     middle = len(images) // 2
     changed = list(images)
@@ -142,20 +152,20 @@ def _check_darkness(slam: Slam, images: Sequence[RgbdImage]) -> None:
     blind = middle + 2 * DARK_FRAMES
     if blind < len(images):
         changed[blind] = _blind(images[blind])
-    _run(slam, changed)
-    _check_results(slam, changed)
-    _check_trajectories(slam)
-    dark = slam.results[middle]
+    _run(system, changed)
+    _check_results(system, changed)
+    _check_trajectories(system)
+    dark = system.results[middle]
     assert dark.T_world_cam is None, "a black image has a pose"
-    if slam.results[middle - 1].state is TrackingState.OK:
+    if system.results[middle - 1].state is TrackingState.OK:
         assert dark.state is TrackingState.LOST, f"a black image in the middle is '{dark.state.value}', not lost"
 
 
-def _check_empty(slam: Slam, image: RgbdImage) -> None:
+def _check_empty(system: System, image: RgbdImage) -> None:
     """Begin with a black image: there is no map yet, so there is nothing to be lost in."""
-    slam.process(_dark(image))
-    assert slam.results[-1].state is TrackingState.NOT_INITIALIZED, "a black first image must not begin a map"
-    for name, trajectory in (("final", slam.trajectory()), ("keyframes'", slam.keyframe_trajectory())):
+    system.process(_dark(image))
+    assert system.results[-1].state is TrackingState.NOT_INITIALIZED, "a black first image must not begin a map"
+    for name, trajectory in (("final", system.trajectory()), ("keyframes'", system.keyframe_trajectory())):
         assert trajectory.T_world_cam.shape == (0, 4, 4), f"the {name} trajectory of nothing has poses"
 
 

@@ -28,7 +28,7 @@ from stillroom.geometry.arrays import F64, Bool
 from stillroom.geometry.camera import Camera
 from stillroom.protocols import Dataset, MatchSieve, Parts, RememberingSieve
 from stillroom.schedule import Done
-from stillroom.system import build as build_slam
+from stillroom.system import build as build_system
 from stillroom.testing.true_clusters import true_clusters
 
 TINY = "synthetic:walking,frames=20,fps=8,cache=off"
@@ -139,12 +139,12 @@ def check_sieve(build: Build, dataset: Dataset | None = None) -> list[Answer]:
     """
     dataset = dataset or open_dataset(TINY)
     tracking = _Tracking(build)
-    slam = build_slam(SlamConfig(dynamics=tracking), dataset.camera, _TrueBoxesAndClusters(dataset.camera))
+    system = build_system(SlamConfig(dynamics=tracking), dataset.camera, _TrueBoxesAndClusters(dataset.camera))
     for place in range(len(dataset)):
-        slam.process(dataset.load(place))
-    slam.close()
+        system.process(dataset.load(place))
+    system.close()
     tracking.check_answers()
-    last = tracking.last_question(slam.map)
+    last = tracking.last_question(system.map)
     numbers = itertools.count(last.frame.image.index + 1)
     pasts = {"fresh": tracking.fresh(), "with another seed": tracking.fresh(SEED + 1), "after a run": tracking.sieve}
     for what, question in odd_questions(last):

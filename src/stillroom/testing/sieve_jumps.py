@@ -28,7 +28,7 @@ from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64
 from stillroom.geometry.camera import Camera
 from stillroom.protocols import Dataset, MatchSieve, Parts
-from stillroom.system import build as build_slam
+from stillroom.system import build as build_system
 from stillroom.testing.true_clusters import true_clusters
 
 WALKING, FRAMES = "synthetic:walking,frames=20,fps=8,cache=off", "4:20"
@@ -58,11 +58,11 @@ def check_follows_jumps(build: Callable[[Parts], MatchSieve], dataset: Dataset |
     dataset = dataset or select(open_dataset(WALKING), FRAMES)
     first = dataset.load(0).index
     tracking = _JumpingTracking(build, jump_at=first + len(dataset) // 2)
-    slam = build_slam(SlamConfig(dynamics=tracking), dataset.camera, _OneBoxAndClusters(dataset.camera))
+    system = build_system(SlamConfig(dynamics=tracking), dataset.camera, _OneBoxAndClusters(dataset.camera))
     for place in range(len(dataset)):
-        slam.process(dataset.load(place))
-    slam.close()
-    assert not slam.map.jumps, "the sequence closes a loop; choose another one"
+        system.process(dataset.load(place))
+    system.close()
+    assert not system.map.jumps, "the sequence closes a loop; choose another one"
     return tracking.n_moving
 
 

@@ -37,7 +37,7 @@ from stillroom.optimize.reduced_system import SparseSystem
 from stillroom.protocols import MatchSieve, Parts
 from stillroom.semantics.depth_clusters import DepthClustersConfig
 from stillroom.semantics.truth import TrueSemanticsConfig
-from stillroom.system import Slam, build
+from stillroom.system import System, build
 from stillroom.viz.cloud.render import CloudRendererConfig
 from stillroom.viz.cloud.view import default_view
 
@@ -75,7 +75,7 @@ def images() -> Iterator[RgbdImage]:
         _put(rgb, depth_m, person, (int(PERSON.x_min_px), int(PERSON.y_min_px)), int(PERSON.y_max_px), PERSON_M)
         left_px = 560 - round(index * STEP_M * CAMERA.fx / PILLAR_M)
         _put(rgb, depth_m, pillar, (left_px, 60), 440, PILLAR_M)
-        yield RgbdImage(index, index / 10.0, rgb, depth_m, truth)
+        yield RgbdImage(index / 10.0, rgb, depth_m, index, truth=truth)
 
 
 def _put(rgb: U8, depth_m: F32, picture: U8, upper_left_px: tuple[int, int], bottom_px: int, nearest_m: float) -> None:
@@ -106,17 +106,17 @@ def _texture(seed: int, height: int, width: int) -> U8:
 
 def do_everything() -> None:
     """Track the made-up scene with all parts there are, and do with the maps what can be done with them."""
-    slam = track()
-    recognise(slam)
+    system = track()
+    recognise(system)
     reduce_sparsely()
-    cloud = correct(slam)
-    draw(cloud, slam)
-    paint_out(cloud, slam)
+    cloud = correct(system)
+    draw(cloud, system)
+    paint_out(cloud, system)
     export(cloud)
     judge(cloud)
 
 
-def track() -> Slam:
+def track() -> System:
     """Track the scene; the detector is replaced by one that finds the box."""
     config = SlamConfig(
         semantics=TrueSemanticsConfig(),
@@ -124,22 +124,22 @@ def track() -> Slam:
         dynamics=EverySieveConfig(),
         dense=DenseMapperConfig(),
     )
-    slam = build(config, CAMERA)
+    system = build(config, CAMERA)
     for image in images():
-        slam.process(image)
-    slam.close()
-    return slam
+        system.process(image)
+    system.close()
+    return system
 
 
-def recognise(slam: Slam) -> None:
+def recognise(system: System) -> None:
     """Make a small vocabulary of the keyframes, and ask which of them looks like the newest."""
-    world, index = slam.map, slam.places.index
+    world, index = system.map, system.places.index
     newest = int(world.alive_keyframes()[-1])
     descriptors = world.keypoints.descriptors[world.rows(newest)]
     shape = GrowthConfig(branching=2, depth=2)
     grow(one_word(shape.direct_level), [descriptors], shape)
     bag = index.bag(newest)
-    slam.places.candidates(bag)
+    system.places.candidates(bag)
     match_by_branch(descriptors, bag.nodes, descriptors, bag.nodes)
     index.remove(newest)
     index.add(newest, bag)
@@ -153,28 +153,28 @@ def reduce_sparsely() -> None:
     SparseSystem(1, Order(starts, slots)).solve(blocks, np.ones((1, 6)), 0.0)
 
 
-def correct(slam: Slam) -> DenseCloud:
+def correct(system: System) -> DenseCloud:
     """Move a keyframe, as a closed loop does, and return the dense map, which has followed it."""
-    slam.map.keyframes.T_world_cam[slam.map.alive_keyframes()[0], 2, 3] += CORRECTION_M
-    slam.dense_mapper.refresh()
-    cloud = slam.dense_mapper.cloud()
+    system.map.keyframes.T_world_cam[system.map.alive_keyframes()[0], 2, 3] += CORRECTION_M
+    system.dense_mapper.refresh()
+    cloud = system.dense_mapper.cloud()
     assert cloud is not None, "the made-up scene is mapped densely"
     return cloud
 
 
-def draw(cloud: DenseCloud, slam: Slam) -> None:
+def draw(cloud: DenseCloud, system: System) -> None:
     """Draw the dense map; all other pictures do without kernels."""
-    CloudRendererConfig().build().render(cloud, default_view(cloud, slam.map.keyframes.T_world_cam, *PICTURE_PX))
+    CloudRendererConfig().build().render(cloud, default_view(cloud, system.map.keyframes.T_world_cam, *PICTURE_PX))
 
 
-def paint_out(cloud: DenseCloud, slam: Slam) -> None:
+def paint_out(cloud: DenseCloud, system: System) -> None:
     """Paint the person out of an image, from a keyframe and from the dense map."""
     painter = InpaintingConfig().build(CAMERA)
     image = next(images())
     assert image.truth is not None
-    keyframe = int(slam.map.alive_keyframes()[-1])
+    keyframe = int(system.map.alive_keyframes()[-1])
     painter.remember(keyframe, image, np.zeros_like(image.truth.movable))
-    painter.paint(image, slam.map.keyframe_pose(keyframe), image.truth.movable, slam.map, cloud)
+    painter.paint(image, system.map.keyframe_pose(keyframe), image.truth.movable, system.map, cloud)
 
 
 def export(cloud: DenseCloud) -> None:

@@ -31,7 +31,7 @@ def painted_wall(camera: Camera, T_world_cam: np.ndarray, index: int = 0) -> Rgb
     places = se3.transform(T_world_cam, camera.back_project(px, depth_m.ravel()))
     x, y = places[:, 0].reshape(depth_m.shape), places[:, 1].reshape(depth_m.shape)
     rgb = np.stack((128 + 90 * np.sin(2 * x), 128 + 90 * np.cos(3 * y), 128 + 60 * np.sin(x + 2 * y)), axis=-1)
-    return RgbdImage(index, index / 30.0, np.rint(rgb).astype(np.uint8), depth_m)
+    return RgbdImage(index / 30.0, np.rint(rgb).astype(np.uint8), depth_m, index)
 
 
 def somebody_before(image: RgbdImage, where: np.ndarray = FIGURE) -> RgbdImage:

@@ -34,7 +34,7 @@ def of_plane(T_now_then: np.ndarray, depth_m: float) -> np.ndarray:
 
 
 def image_of(gray: np.ndarray, depth_m: np.ndarray) -> RgbdImage:
-    return RgbdImage(0, 0.0, np.dstack([gray] * 3), depth_m.astype(np.float32))
+    return RgbdImage(0.0, np.dstack([gray] * 3), depth_m.astype(np.float32), 0)
 
 
 def planes(T_now_then: np.ndarray, board_moves_m: tuple[float, float, float] = (0, 0, 0)) -> PointTest:

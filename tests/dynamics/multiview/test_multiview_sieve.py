@@ -76,9 +76,9 @@ class Judge:
 def judged(spec: str, chosen: str, config: MultiViewConfig = BY_GEOMETRY) -> Judge:
     """Track a sequence with the sieve and nobody to say what may move."""
     dataset, judge = select(open_dataset(spec), chosen), Judge()
-    slam = build(SlamConfig(dynamics=config), dataset.camera, observer=judge)
+    system = build(SlamConfig(dynamics=config), dataset.camera, observer=judge)
     for place in range(len(dataset)):
-        slam.process(dataset.load(place))
+        system.process(dataset.load(place))
     return judge
 
 

@@ -45,7 +45,7 @@ def painted(things: Sequence[Thing], time_s: float, shift_px: int = 0) -> tuple[
     rgb = np.zeros((480, 640, 3), np.uint8)
     for thing in things:
         rgb[thing.window] = pattern()[: thing.height, 300 - shift_px : 300 - shift_px + thing.width, None]
-    image = RgbdImage(frame.image.index, time_s, rgb, frame.image.depth_m)
+    image = RgbdImage(time_s, rgb, frame.image.depth_m, frame.image.index)
     return replace(frame, image=image), semantics
 
 
@@ -255,9 +255,9 @@ class Judge:
 def judged(spec: str, chosen: str, *overrides: str) -> Judge:
     dataset, judge = select(open_dataset(spec), chosen), Judge()
     config = configure("pspnet-slam", None, ["dense.kind=nothing", *overrides])
-    slam = build(config, dataset.camera, observer=judge)
+    system = build(config, dataset.camera, observer=judge)
     for place in range(len(dataset)):
-        slam.process(dataset.load(place))
+        system.process(dataset.load(place))
     return judge
 
 

@@ -29,7 +29,7 @@ class Noise(Recording):
         depth_m = np.full((48, 64), 2.0, dtype=np.float32)
         square = np.s_[10 : 10 + SIDE_PX, STEP_PX * index : STEP_PX * index + SIDE_PX]
         rgb[square], depth_m[square] = RED, 1.5
-        return RgbdImage(index, float(self.timestamps_s[index]), rgb, depth_m)
+        return RgbdImage(float(self.timestamps_s[index]), rgb, depth_m, index)
 
 
 def recognises(asked: SequenceRequest) -> bool:

@@ -19,7 +19,7 @@ def a_red_square(height: int = 240, width: int = 320) -> RgbdImage:
     rgb = np.full((height, width, 3), 100, np.uint8)
     rgb[40:120, 60:160] = 200, 60, 60
     rgb[140:180, 200:280] = 60, 60, 200
-    return RgbdImage(0, 0.0, rgb, np.zeros((height, width), np.float32))
+    return RgbdImage(0.0, rgb, np.zeros((height, width), np.float32), 0)
 
 
 UINT8 = {"mean": (0.0, 0.0, 0.0), "std": (1.0, 1.0, 1.0)}
@@ -80,7 +80,7 @@ def test_small_regions_go_and_the_others_grow(tmp_path: Path) -> None:
 
 def test_odd_sizes_are_covered_to_the_last_pixel(tmp_path: Path) -> None:
     rgb = np.full((101, 77, 3), (200, 60, 60), np.uint8)
-    image = RgbdImage(0, 0.0, rgb, np.zeros((101, 77), np.float32))
+    image = RgbdImage(0.0, rgb, np.zeros((101, 77), np.float32), 0)
     answer = red_config(save_red_network(tmp_path / "red.onnx")).build()(image)
     assert answer.mask.all()
     assert answer.boxes[0].xyxy_px == (0, 0, 76, 100)
@@ -197,7 +197,7 @@ def test_named_classes_are_boxes_and_no_reason_to_think_that_anything_moves(tmp_
     rgb = np.full((240, 320, 3), 90, np.uint8)
     rgb[20:120, 40:100] = 200, 60, 60  # a person
     rgb[60:200, 180:280] = 60, 60, 200  # a dog, which here stands for a chair
-    image = RgbdImage(0, 0.0, rgb, np.zeros((240, 320), np.float32))
+    image = RgbdImage(0.0, rgb, np.zeros((240, 320), np.float32), 0)
     red = save_red_network(tmp_path / "red.onnx")
     plain, named = (red_config(red, named=names).build()(image) for names in ((), ("dog",)))
     np.testing.assert_array_equal(named.mask, plain.mask)
@@ -226,7 +226,7 @@ def test_named_things_are_carried_when_the_network_is_late(tmp_path: Path) -> No
         rgb[60:200, left : left + 100] = coat[60:200, 120:220, None] + np.array([0, 0, 90], np.uint8)
         depth_m = np.full((240, 320), 2.0, np.float32)
         depth_m[60:200, left : left + 100] = 1.2
-        known = masks(RgbdImage(index, index / 30.0, rgb, depth_m))
+        known = masks(RgbdImage(index / 30.0, rgb, depth_m, index))
         (dog,) = known.named
         assert dog.carried == index
         assert abs(dog.x_min_px - left) <= 6
@@ -240,7 +240,7 @@ def test_in_a_crowd_masks_are_grown_less(tmp_path: Path) -> None:
     def width_px(columns: int) -> int:
         rgb = np.full((240, 320, 3), 90, np.uint8)
         rgb[:, 20 : 20 + columns] = 200, 60, 60
-        known = config.build()(RgbdImage(0, 0.0, rgb, np.zeros((240, 320), np.float32)))
+        known = config.build()(RgbdImage(0.0, rgb, np.zeros((240, 320), np.float32), 0))
         return int(np.flatnonzero(known.movable[120]).max()) - (20 + columns - 1)
 
     assert abs(width_px(100) - 15) <= 1

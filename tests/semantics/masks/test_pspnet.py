@@ -69,7 +69,7 @@ def test_the_shipped_network_finds_nobody_on_a_wall(color: tuple[int, int, int])
     """Lit from a side, with a sensor's noise."""
     light = np.linspace(0.7, 1.1, 640)[None, :, None] * np.array(color)
     noisy = np.repeat(light, 480, axis=0) + np.random.default_rng(0).normal(0.0, 3.0, (480, 640, 3))
-    wall = RgbdImage(0, 0.0, np.clip(noisy, 0, 255).astype(np.uint8), np.ones((480, 640), np.float32))
+    wall = RgbdImage(0.0, np.clip(noisy, 0, 255).astype(np.uint8), np.ones((480, 640), np.float32), 0)
     assert not PspNetConfig(input="320x240").build()(wall).has_any
 
 

@@ -27,7 +27,7 @@ LEAST, MOST_IOU = 0.3, 0.4
 
 def an_image(width=200, height=100, index=0):
     return RgbdImage(
-        index, index / 30, np.full((height, width, 3), 90, np.uint8), np.zeros((height, width), np.float32)
+        index / 30, np.full((height, width, 3), 90, np.uint8), np.zeros((height, width), np.float32), index
     )
 
 

@@ -354,7 +354,7 @@ def test_a_whole_detector_agrees_with_plain_loops(tmp_path, movable):
     detector = config.build_detector(0.3)
     for _ in range(3):
         rgb = rng.integers(0, 256, (16, 12, 3)).astype(np.uint8)
-        found = detector.detect(RgbdImage(0, 0.0, rgb, np.zeros((16, 12), np.float32)))
+        found = detector.detect(RgbdImage(0.0, rgb, np.zeros((16, 12), np.float32), 0))
         heads = plain_network(rgb.transpose(2, 0, 1).astype(float), convolutions)
         expected = sorted(plain_boxes(heads, movable, 12, 16, 0.3), key=lambda row: -row[1])
         assert len(found) == len(expected)

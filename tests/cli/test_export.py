@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from oriented_clouds import Surfaces, random_cloud
 
-from stillroom.data.clouds import DenseCloud
-from stillroom.dense.export.cloud_file import NAME, save_cloud
+from stillroom.data.dense_cloud import NAME, DenseCloud
 
 FILES = ["cloud.ply", "cloud.pcd", "mesh.ply", "map.pgm", "map.yaml", "map_frame.json", "map.bt"]
 VOXEL_M = 0.04
@@ -30,7 +29,7 @@ def run(corner_cloud: DenseCloud, stillroom: Callable) -> Path:
     folder = Path("results/2026-01-31_12-00_oc-slam_room")
     folder.mkdir(parents=True)
     (folder.parent / "latest").symlink_to(folder.name)
-    save_cloud(corner_cloud, folder / NAME)
+    corner_cloud.write(folder / NAME)
     return folder
 
 
@@ -104,7 +103,7 @@ def test_a_request_that_cannot_be_met_is_one_line(case: str, run: Path, stillroo
 DAMAGE: dict[str, tuple[Callable[[Path], object], list[str]]] = {
     "no dense map": (lambda run: (run / NAME).unlink(), ["results/latest: this run has no dense map; run with"]),
     "a damaged map": (lambda run: (run / NAME).write_bytes(b"PK"), [f"{NAME}: damaged"]),
-    "an empty map": (lambda run: save_cloud(random_cloud(0), run / NAME), [f"{NAME}: the dense map is empty"]),
+    "an empty map": (lambda run: random_cloud(0).write(run / NAME), [f"{NAME}: the dense map is empty"]),
     "no such run": (lambda run: (run.parent / "latest").unlink(), ["results/latest: no such results folder"]),
 }
 
@@ -133,7 +132,7 @@ def test_without_the_mesh_library_the_others_are_written_and_the_line_says_what_
 
 def test_without_a_floor_the_others_are_written(run: Path, corner_cloud: DenseCloud, stillroom: Callable) -> None:
     upside_down = replace(corner_cloud, positions_m=-corner_cloud.positions_m, normals=-corner_cloud.normals)
-    save_cloud(upside_down, run / NAME)
+    upside_down.write(run / NAME)
     said = stillroom("export", "--format", "ply,occupancy,octomap")
     assert said.code == 1
     assert len(said.errors) == 1

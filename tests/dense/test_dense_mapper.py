@@ -11,7 +11,7 @@ from building import parts
 from plain_room import CAMERA, depth_of_box, flat, image, pose
 from posed_keyframes import PosedKeyframes
 
-from stillroom.data.clouds import DenseCloud
+from stillroom.data.dense_cloud import DenseCloud
 from stillroom.dense.carving import CarvingConfig
 from stillroom.dense.dense_mapper import MB, DenseMapper, DenseMapperConfig
 from stillroom.dense.keyframe_cloud import SurfaceConfig

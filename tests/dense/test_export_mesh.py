@@ -14,7 +14,7 @@ from oriented_clouds import Surfaces
 from plyfile import PlyData
 from scipy.spatial import cKDTree
 
-from stillroom.data.clouds import DenseCloud
+from stillroom.data.dense_cloud import DenseCloud
 from stillroom.dense.export.mesh import Mesh, MeshConfig
 from stillroom.errors import MapError, MissingExtraError
 

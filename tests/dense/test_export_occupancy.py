@@ -12,7 +12,7 @@ import yaml
 from oriented_clouds import Surfaces
 from scipy.spatial.transform import Rotation
 
-from stillroom.data.clouds import DenseCloud
+from stillroom.data.dense_cloud import DenseCloud
 from stillroom.dense.export.floor import FloorConfig, find_floor
 from stillroom.dense.export.occupancy import OccupancyConfig
 from stillroom.errors import ConfigError, MapError

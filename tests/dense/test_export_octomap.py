@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from oriented_clouds import Surfaces, random_cloud
 
-from stillroom.data.clouds import DenseCloud
+from stillroom.data.dense_cloud import DenseCloud
 from stillroom.dense.export.octomap import write_octomap
 from stillroom.errors import MapError
 

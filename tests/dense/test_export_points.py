@@ -8,16 +8,14 @@ from oriented_clouds import random_cloud
 from plyfile import PlyData
 from pypcd4 import PointCloud
 
-from stillroom.dense.export.pcd import write_pcd
-from stillroom.dense.export.ply import write_point_ply
-from stillroom.errors import StillroomError
+from stillroom.errors import ConfigError, StillroomError
 
 N_POINTS = 3000
 
 
 def test_plyfile_reads_every_value(tmp_path: Path) -> None:
     cloud = random_cloud(N_POINTS)
-    write_point_ply(cloud, tmp_path / "cloud.ply")
+    cloud.write(tmp_path / "cloud.ply")
     points = PlyData.read(tmp_path / "cloud.ply")["vertex"]
     assert len(points.data) == N_POINTS
     for names, ours in ((("x", "y", "z"), cloud.positions_m), (("nx", "ny", "nz"), cloud.normals)):
@@ -29,14 +27,14 @@ def test_plyfile_reads_every_value(tmp_path: Path) -> None:
 def test_trimesh_reads_places_and_colours(tmp_path: Path) -> None:
     trimesh = pytest.importorskip("trimesh")
     cloud = random_cloud(N_POINTS)
-    write_point_ply(cloud, tmp_path / "cloud.ply")
+    cloud.write(tmp_path / "cloud.ply")
     read = trimesh.load(tmp_path / "cloud.ply")
     np.testing.assert_array_equal(read.vertices, cloud.positions_m)
     np.testing.assert_array_equal(read.colors[:, :3], cloud.rgb)
 
 
 def test_the_header_says_units_and_frame(tmp_path: Path) -> None:
-    write_point_ply(random_cloud(2), tmp_path / "cloud.ply")
+    random_cloud(2).write(tmp_path / "cloud.ply")
     header = (tmp_path / "cloud.ply").read_bytes().split(b"end_header")[0].decode("ascii")
     assert "metres" in header
     assert "x right, y down, z forward" in header
@@ -44,7 +42,7 @@ def test_the_header_says_units_and_frame(tmp_path: Path) -> None:
 
 def test_pypcd_reads_every_value(tmp_path: Path) -> None:
     cloud = random_cloud(N_POINTS)
-    write_pcd(cloud, tmp_path / "cloud.pcd")
+    cloud.write(tmp_path / "cloud.pcd")
     read = PointCloud.from_path(tmp_path / "cloud.pcd")
     # pcl::PointXYZRGBNormal
     assert read.fields == ("x", "y", "z", "rgb", "normal_x", "normal_y", "normal_z", "curvature")
@@ -54,7 +52,7 @@ def test_pypcd_reads_every_value(tmp_path: Path) -> None:
 
 
 def test_the_pcd_header_is_what_the_format_asks_for(tmp_path: Path) -> None:
-    write_pcd(random_cloud(7), tmp_path / "cloud.pcd")
+    random_cloud(7).write(tmp_path / "cloud.pcd")
     header, _, body = (tmp_path / "cloud.pcd").read_bytes().partition(b"DATA binary\n")
     words = {line.split()[0]: line.split()[1:] for line in header.decode("ascii").splitlines() if line[0] != "#"}
     # The order is prescribed: pointclouds.org, The PCD file format.
@@ -67,9 +65,14 @@ def test_the_pcd_header_is_what_the_format_asks_for(tmp_path: Path) -> None:
     assert len(body) == 7 * 8 * 4
 
 
-@pytest.mark.parametrize("write", [write_point_ply, write_pcd])
-def test_where_nothing_can_be_written_one_line_says_so(write: object, tmp_path: Path) -> None:
+@pytest.mark.parametrize("suffix", ["ply", "pcd", "npz"])
+def test_where_nothing_can_be_written_one_line_says_so(suffix: str, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    assert callable(write)
-    with pytest.raises(StillroomError, match="file/cloud: cannot be written"):
-        write(random_cloud(3), tmp_path / "file" / "cloud")
+    with pytest.raises(StillroomError, match=f"file/cloud.{suffix}: cannot be written"):
+        random_cloud(3).write(tmp_path / "file" / f"cloud.{suffix}")
+
+
+def test_a_suffix_that_no_point_format_has_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="cloud.obj: points are written as .ply, .pcd or .npz"):
+        random_cloud(3).write(str(tmp_path / "cloud.obj"))
+    assert not list(tmp_path.iterdir())

@@ -9,7 +9,7 @@ from building import parts
 from posed_keyframes import PosedKeyframes
 from true_surfaces import FIGURES, REACH_M, STILL, THINGS, distances_m, share_in, surface, times_looked_through
 
-from stillroom.data.clouds import DenseCloud
+from stillroom.data.dense_cloud import DenseCloud
 from stillroom.data.image import RgbdImage
 from stillroom.datasets.open import open_dataset
 from stillroom.dense.carving import CarvingConfig

@@ -5,7 +5,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from stillroom.data.clouds import DenseCloud
+from stillroom.data.dense_cloud import DenseCloud
 from stillroom.data.result import FrameResult, Tracked
 from stillroom.data.semantics import Semantics
 from stillroom.datasets.selection import select

@@ -9,7 +9,7 @@ from asked import ask
 from flat_wall import before_the_wall, points_on_the_wall
 from small_world import BLACK, SmallMap, pose
 
-from stillroom.data.clouds import PLANE, UNKNOWN, Clusters
+from stillroom.data.clusters import PLANE, UNKNOWN, Clusters
 from stillroom.data.frame import Frame
 from stillroom.data.image import RgbdImage
 from stillroom.data.matches import Matches

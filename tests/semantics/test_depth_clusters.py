@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from building import parts
 
-from stillroom.data.clouds import PLANE, UNKNOWN, Clusters
+from stillroom.data.clusters import PLANE, UNKNOWN, Clusters
 from stillroom.data.image import RgbdImage
 from stillroom.data.semantics import Box, Semantics, nothing
 from stillroom.datasets.open import open_dataset

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stillroom.data.clouds import PLANE, UNKNOWN, Clusters
+from stillroom.data.clusters import PLANE, UNKNOWN, Clusters
 from stillroom.data.semantics import Box, Semantics
 from stillroom.viz.clusters import CLASSES, COLORS, cluster_colors, draw_clusters, draw_detections
 from stillroom.viz.marks import MOVING

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from stillroom.data.clouds import PLANE, Clusters
+from stillroom.data.clusters import PLANE, Clusters
 from stillroom.data.frame import Frame, Keypoints, ScaleLevels
 from stillroom.data.image import RgbdImage
 from stillroom.data.motion import Motion

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from stillroom.config import SlamConfig
-from stillroom.data.clouds import DenseCloud
+from stillroom.data.dense_cloud import DenseCloud
 from stillroom.data.result import FrameResult, Tracked
 from stillroom.data.semantics import Semantics
 from stillroom.dense.dense_mapper import DenseMapper, DenseMapperConfig

@@ -8,7 +8,7 @@ import typer
 from stillroom.errors import MapError, StillroomError
 
 if TYPE_CHECKING:
-    from stillroom.data.clouds import DenseCloud
+    from stillroom.data.dense_cloud import DenseCloud
     from stillroom.dense.export.formats import ExportConfig, WrittenFile
 
 DEFAULT_FOLDER = Path("results/latest")
@@ -46,7 +46,7 @@ def export(
     """
     from stillroom.cli.output import show_log
     from stillroom.config import with_overrides
-    from stillroom.dense.export.cloud_file import NAME, load_cloud
+    from stillroom.data.dense_cloud import NAME, load_cloud
     from stillroom.dense.export.formats import ALL, ExportConfig, chosen_formats
     from stillroom.pipeline.results import results_folder
 

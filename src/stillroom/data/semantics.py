@@ -7,7 +7,7 @@ from functools import cached_property
 import cv2
 import numpy as np
 
-from stillroom.data.clouds import Clusters
+from stillroom.data.clusters import Clusters
 from stillroom.geometry.arrays import F32, Bool, Floats
 from stillroom.geometry.pixels import values_at
 

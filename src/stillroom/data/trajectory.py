@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from stillroom.data.replacing import replacing
 from stillroom.errors import TrajectoryError
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64
@@ -31,14 +32,19 @@ class Trajectory:
         """Camera centres (M, 3) [m]."""
         return self.T_world_cam[:, :3, 3]
 
-    def write_tum(self, path: Path) -> None:
-        """Write `timestamp tx ty tz qx qy qz qw`, one pose a line."""
+    def write_tum(self, path: Path | str) -> None:
+        """Write `timestamp tx ty tz qx qy qz qw`, one pose a line; a file that is there is replaced as a whole.
+
+        Raises:
+            StillroomError: It cannot be written.
+        """
         quaternions_xyzw = se3.to_quaternions_xyzw(self.T_world_cam) if len(self) else np.zeros((0, 4))
         lines = ["# timestamp tx ty tz qx qy qz qw"]
         for stamp, position, quaternion in zip(self.timestamps_s, self.positions_m, quaternions_xyzw, strict=True):
             numbers = " ".join(f"{value:.7f}" for value in (*position, *quaternion))
             lines.append(f"{stamp:.6f} {numbers}")
-        path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        with replacing(Path(path)) as file:
+            file.write(("\n".join(lines) + "\n").encode("utf-8"))
 
 
 def read_tum(path: Path) -> Trajectory:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from stillroom.bounds import bounded, check
-from stillroom.data.clouds import DenseCloud
+from stillroom.data.dense_cloud import DenseCloud
 from stillroom.data.image import RgbdImage
 from stillroom.data.map import Map, submaps
 from stillroom.dense.carving import Carver, CarvingConfig

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from stillroom.bounds import bounded, check
-from stillroom.data.clouds import DenseCloud
+from stillroom.data.dense_cloud import DenseCloud
 from stillroom.data.image import RgbdImage
 from stillroom.data.map import Map
 from stillroom.dense.inpainting_kernels import Canvas, Cubes, Paint, Surface, splat_cloud, splat_colour, splat_depth

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from stillroom.data.clouds import DenseCloud
+from stillroom.data.dense_cloud import DenseCloud
 from stillroom.data.image import RgbdImage
 from stillroom.geometry.arrays import F64, Bool
 from stillroom.protocols import Parts

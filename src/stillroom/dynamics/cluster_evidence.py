@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numba import njit
 
-from stillroom.data.clouds import UNKNOWN, Clusters
+from stillroom.data.clusters import UNKNOWN, Clusters
 from stillroom.data.frame import Frame
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F32, F64, I16, I64, U8, Bool

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from stillroom.bounds import bounded
-from stillroom.data.clouds import Clusters
+from stillroom.data.clusters import Clusters
 from stillroom.data.frame import Frame
 from stillroom.data.motion import Motion, Stage
 from stillroom.data.question import Question

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from stillroom.bounds import bounded, check
-from stillroom.data.clouds import Clusters
+from stillroom.data.clusters import Clusters
 from stillroom.data.frame import Frame
 from stillroom.data.motion import Motion, Stage
 from stillroom.data.question import Question

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stillroom.data.clouds import DenseCloud
+from stillroom.data.dense_cloud import DenseCloud
 from stillroom.data.result import FrameResult, Tracked
 from stillroom.data.semantics import Semantics
 from stillroom.datasets.recording import rendered

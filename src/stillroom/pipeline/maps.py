@@ -7,7 +7,7 @@ from enum import StrEnum
 from pathlib import Path
 
 from stillroom.config import SlamConfig, to_toml
-from stillroom.data.clouds import DenseCloud
+from stillroom.data.dense_cloud import DenseCloud
 from stillroom.data.map import Map
 from stillroom.dense.dense_mapper import DenseMapperConfig
 from stillroom.dense.no_dense_map import NoDenseMapConfig

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stillroom.data.clouds import DenseCloud
+from stillroom.data.dense_cloud import DenseCloud
 from stillroom.data.map import submaps
 from stillroom.data.trajectory import Trajectory
 from stillroom.evaluation.trajectory_errors import ate

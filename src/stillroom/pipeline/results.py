@@ -32,13 +32,11 @@ from typing import Any
 import numpy as np
 
 from stillroom.config import SlamConfig, to_toml
-from stillroom.data.clouds import DenseCloud
+from stillroom.data.dense_cloud import NAME as DENSE
+from stillroom.data.dense_cloud import DenseCloud
 from stillroom.data.map import submaps
 from stillroom.data.result import Recovery
 from stillroom.data.trajectory import Trajectory, read_tum
-from stillroom.dense.export.cloud_file import NAME as DENSE
-from stillroom.dense.export.cloud_file import save_cloud
-from stillroom.dense.export.ply import write_point_ply
 from stillroom.errors import ConfigError, StillroomError
 from stillroom.evaluation.report import Evaluation, to_json
 from stillroom.evaluation.timing import FRAME, peak_memory_mb
@@ -200,8 +198,8 @@ def write_results(folder: Path, outcome: RunOutcome, truth: Truth | None) -> Non
 
 def write_dense_map(folder: Path, cloud: DenseCloud) -> None:
     """Write the dense map, for `stillroom export` and for a viewer."""
-    save_cloud(cloud, folder / DENSE)
-    write_point_ply(cloud, folder / CLOUD)
+    cloud.write(folder / DENSE)
+    cloud.write(folder / CLOUD)
 
 
 def write_metrics(

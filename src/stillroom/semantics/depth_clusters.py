@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from stillroom.bounds import bounded, check
-from stillroom.data.clouds import PLANE, UNKNOWN, Clusters
+from stillroom.data.clusters import PLANE, UNKNOWN, Clusters
 from stillroom.data.image import RgbdImage
 from stillroom.data.semantics import Semantics, boxes_xyxy_px
 from stillroom.geometry.arrays import F32

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from stillroom.data.clouds import PLANE, UNKNOWN, Clusters
+from stillroom.data.clusters import PLANE, UNKNOWN, Clusters
 from stillroom.data.image import RgbdImage
 from stillroom.data.semantics import connected_parts
 from stillroom.geometry.arrays import F64, I16, Bool

@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 
-from stillroom.data.clouds import PLANE, Clusters
+from stillroom.data.clusters import PLANE, Clusters
 from stillroom.data.semantics import Semantics
 from stillroom.geometry.arrays import I16, U8, Bool
 from stillroom.viz.marks import (

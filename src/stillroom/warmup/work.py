@@ -9,7 +9,7 @@ import numpy as np
 
 from stillroom.config import SlamConfig
 from stillroom.config.kinds import DYNAMICS
-from stillroom.data.clouds import DenseCloud
+from stillroom.data.dense_cloud import DenseCloud
 from stillroom.data.frame import Frame
 from stillroom.data.image import RgbdImage
 from stillroom.data.map import Map

@@ -7,7 +7,7 @@ import pytest
 from flat_wall import wall_depth
 from small_world import CAMERA, NO_DEPTH, SCALES, SmallWorld, pose
 
-from stillroom.data.clouds import DenseCloud
+from stillroom.data.dense_cloud import DenseCloud
 from stillroom.data.image import RgbdImage
 from stillroom.data.map import Map
 from stillroom.datasets.open import open_dataset

@@ -8,7 +8,7 @@ import pytest
 from small_world import CAMERA, pose
 from staged_things import HOME, Thing, clusters_of, seen
 
-from stillroom.data.clouds import PLANE
+from stillroom.data.clusters import PLANE
 from stillroom.data.frame import Frame
 from stillroom.data.semantics import Semantics
 from stillroom.dynamics.cluster_evidence import STEP_PX, Belief, Sampler

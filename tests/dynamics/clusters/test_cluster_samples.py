@@ -8,7 +8,7 @@ import pytest
 from small_world import CAMERA, SmallWorld, pose
 from staged_things import clusters_of
 
-from stillroom.data.clouds import PLANE, UNKNOWN, Clusters
+from stillroom.data.clusters import PLANE, UNKNOWN, Clusters
 from stillroom.data.frame import Frame
 from stillroom.dynamics.cluster_evidence import STEP_PX, Sampler
 from stillroom.geometry.camera import Camera

@@ -8,7 +8,7 @@ from building import parts
 from small_world import SmallMap, pose
 from staged_things import HOME, STEP_S, WALL, Play, Thing, empty_wall, on, seen, share
 
-from stillroom.data.clouds import PLANE, UNKNOWN
+from stillroom.data.clusters import PLANE, UNKNOWN
 from stillroom.data.frame import Frame
 from stillroom.data.motion import Stage
 from stillroom.data.semantics import Box

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from staged_things import clusters_of
 
-from stillroom.data.clouds import PLANE, UNKNOWN
+from stillroom.data.clusters import PLANE, UNKNOWN
 from stillroom.dynamics.cluster_evidence import MovingPixels
 
 MARGIN_PX = 3

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from dense_clouds import CEILING, CRATE, FLOOR, WALL, assemble, cube, sheet
 
-from stillroom.data.clouds import DenseCloud
+from stillroom.data.dense_cloud import DenseCloud
 
 
 @pytest.fixture(scope="session")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from dense_clouds import CRATE, EMPTY, FLOOR, assemble, cube, select, sheet
 
-from stillroom.data.clouds import DenseCloud
+from stillroom.data.dense_cloud import DenseCloud
 from stillroom.errors import ConfigError, StillroomError
 from stillroom.geometry import se3
 from stillroom.geometry.camera import Camera

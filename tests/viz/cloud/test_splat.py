@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stillroom.data.clouds import DenseCloud
+from stillroom.data.dense_cloud import DenseCloud
 from stillroom.geometry import se3
 from stillroom.geometry.camera import Camera
 from stillroom.viz.cloud.splat import splat

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from dense_clouds import EMPTY, select
 
-from stillroom.data.clouds import DenseCloud
+from stillroom.data.dense_cloud import DenseCloud
 from stillroom.geometry import se3
 from stillroom.viz.cloud.view import Viewpoint, default_view, top_view, upward
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stillroom.data.clouds import DenseCloud
+from stillroom.data.dense_cloud import DenseCloud
 from stillroom.errors import MapError
 from stillroom.geometry.arrays import F32, F64, I64, Bool
 from stillroom.geometry.se3 import from_rotation_translation

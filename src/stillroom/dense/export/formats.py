@@ -5,12 +5,10 @@ from dataclasses import dataclass, field
 from difflib import get_close_matches
 from pathlib import Path
 
-from stillroom.data.clouds import DenseCloud
+from stillroom.data.dense_cloud import DenseCloud
 from stillroom.dense.export.mesh import MeshConfig
 from stillroom.dense.export.occupancy import OccupancyConfig
 from stillroom.dense.export.octomap import write_octomap
-from stillroom.dense.export.pcd import write_pcd
-from stillroom.dense.export.ply import write_point_ply
 from stillroom.errors import ConfigError
 
 ALL = "all"
@@ -47,12 +45,12 @@ Write = Callable[[DenseCloud, Path, ExportConfig], list[WrittenFile]]
 
 
 def _ply(cloud: DenseCloud, folder: Path, config: ExportConfig) -> list[WrittenFile]:
-    write_point_ply(cloud, folder / "cloud.ply")
+    cloud.write(folder / "cloud.ply")
     return [WrittenFile(folder / "cloud.ply", f"{len(cloud)} points")]
 
 
 def _pcd(cloud: DenseCloud, folder: Path, config: ExportConfig) -> list[WrittenFile]:
-    write_pcd(cloud, folder / "cloud.pcd")
+    cloud.write(folder / "cloud.pcd")
     return [WrittenFile(folder / "cloud.pcd", f"{len(cloud)} points")]
 
 

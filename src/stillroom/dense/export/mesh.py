@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stillroom.data.clouds import DenseCloud
-from stillroom.dense.export.ply import VERTEX, filled, write_mesh_ply
+from stillroom.data.dense_cloud import DenseCloud
+from stillroom.data.ply import VERTEX, filled, write_ply
 from stillroom.dense.export.signed_distance import (
     BLOCK,
     DISTANCE,
@@ -72,7 +72,7 @@ class Mesh:
         Raises:
             StillroomError: It cannot be written.
         """
-        write_mesh_ply(filled(VERTEX, self.positions_m, self.normals, self.rgb), self.triangles, path)
+        write_ply(filled(VERTEX, self.positions_m, self.normals, self.rgb), path, self.triangles)
 
 
 class Mesher:

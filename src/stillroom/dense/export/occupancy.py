@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from stillroom.bounds import bounded, check
-from stillroom.data.clouds import DenseCloud
+from stillroom.data.dense_cloud import DenseCloud
+from stillroom.data.replacing import replacing
 from stillroom.dense.export.floor import Floor, FloorConfig, find_floor
-from stillroom.dense.export.replacing import replacing
 from stillroom.errors import MapError
 from stillroom.geometry.arrays import F64, I64, U8, Bool
 from stillroom.geometry.se3 import transform

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from stillroom.data.clouds import DenseCloud
-from stillroom.dense.export.ply import WORLD
-from stillroom.dense.export.replacing import replacing
+from stillroom.data.dense_cloud import DenseCloud
+from stillroom.data.ply import WORLD
+from stillroom.data.replacing import replacing
 from stillroom.errors import MapError
 from stillroom.geometry.arrays import U8, U64, Bool, Floats
 

@@ -3,7 +3,7 @@
 import numpy as np
 from numba import njit
 
-from stillroom.data.clouds import DenseCloud
+from stillroom.data.dense_cloud import DenseCloud
 from stillroom.dense.voxels.evidence_kernels import mean_positions
 from stillroom.dense.voxels.fusing_kernels import COLOUR, FULL_WEIGHT, NORMAL, WEIGHT
 from stillroom.dense.voxels.hash_kernels import EMPTY, enter_rows, find_slot, pack

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from stillroom.bounds import bounded, check
-from stillroom.data.clouds import DenseCloud
+from stillroom.data.dense_cloud import DenseCloud
 from stillroom.geometry.arrays import F32, F64, U8, Bool
 from stillroom.geometry.camera import Camera
 from stillroom.geometry.pixels import Shape, element

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from stillroom.data.clouds import DenseCloud
+from stillroom.data.dense_cloud import DenseCloud
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64, Bool, Floats
 from stillroom.geometry.camera import Camera

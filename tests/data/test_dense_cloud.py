@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from oriented_clouds import random_cloud
 
-from stillroom.data.clouds import DenseCloud
-from stillroom.dense.export.cloud_file import load_cloud, save_cloud
+from stillroom.data.dense_cloud import DenseCloud, load_cloud
 from stillroom.errors import MapError, StillroomError
 
 
@@ -21,7 +20,7 @@ def rewritten(path: Path, **changes: object) -> None:
 
 @pytest.fixture
 def file(tmp_path: Path) -> Path:
-    save_cloud(random_cloud(500), tmp_path / "dense_cloud.npz")
+    random_cloud(500).write(tmp_path / "dense_cloud.npz")
     return tmp_path / "dense_cloud.npz"
 
 
@@ -39,12 +38,12 @@ def test_numpy_alone_reads_it(file: Path) -> None:
 
 
 def test_the_same_cloud_gives_the_same_bytes(file: Path, tmp_path: Path) -> None:
-    save_cloud(random_cloud(500), tmp_path / "again.npz")
+    random_cloud(500).write(tmp_path / "again.npz")
     assert (tmp_path / "again.npz").read_bytes() == file.read_bytes()
 
 
 def test_an_empty_cloud_is_a_cloud(tmp_path: Path) -> None:
-    save_cloud(random_cloud(0), tmp_path / "empty.npz")
+    random_cloud(0).write(tmp_path / "empty.npz")
     assert len(load_cloud(tmp_path / "empty.npz")) == 0
 
 
@@ -93,6 +92,6 @@ def test_a_failed_write_leaves_what_was_there(file: Path, monkeypatch: pytest.Mo
 
     monkeypatch.setattr("numpy.lib.format.write_array", full)
     with pytest.raises(StillroomError, match=r"dense_cloud.npz: cannot be written \(No space left on device\)"):
-        save_cloud(replace(random_cloud(500), voxel_m=0.5), file)
+        replace(random_cloud(500), voxel_m=0.5).write(file)
     assert file.read_bytes() == before
     assert list(file.parent.iterdir()) == [file]

@@ -4,15 +4,15 @@ from pathlib import Path
 
 import numpy as np
 
-from stillroom.data.clouds import DenseCloud
-from stillroom.dense.export.replacing import replacing
+from stillroom.data.replacing import replacing
+from stillroom.geometry.arrays import U8, Floats
 
 FIELDS = ("x", "y", "z", "rgb", "normal_x", "normal_y", "normal_z", "curvature")
 POINT = np.dtype([(name, "<u4" if name == "rgb" else "<f4") for name in FIELDS])
 
 
-def write_pcd(cloud: DenseCloud, path: Path) -> None:
-    """Write a cloud with colours and normals.
+def write_pcd(positions_m: Floats, normals: Floats, rgb: U8, path: Path) -> None:
+    """Write points with colours and normals (N, 3).
 
     The colour is packed as the library does it: the bits 0x00RRGGBB, declared a float. They are kept as an integer
     here, since a float that is no number may change its bits when it is copied. `curvature` is unknown and zero, as the
@@ -21,11 +21,11 @@ def write_pcd(cloud: DenseCloud, path: Path) -> None:
     Raises:
         StillroomError: It cannot be written.
     """
-    points = np.zeros(len(cloud), dtype=POINT)
+    points = np.zeros(len(positions_m), dtype=POINT)
     for axis, name in enumerate("xyz"):
-        points[name] = cloud.positions_m[:, axis]
-        points[f"normal_{name}"] = cloud.normals[:, axis]
-    red, green, blue = cloud.rgb.astype(np.uint32).T
+        points[name] = positions_m[:, axis]
+        points[f"normal_{name}"] = normals[:, axis]
+    red, green, blue = rgb.astype(np.uint32).T
     points["rgb"] = red << 16 | green << 8 | blue
     header = [
         "# .PCD v0.7 - Point Cloud Data file format",
@@ -34,10 +34,10 @@ def write_pcd(cloud: DenseCloud, path: Path) -> None:
         f"SIZE{' 4' * len(FIELDS)}",
         f"TYPE{' F' * len(FIELDS)}",
         f"COUNT{' 1' * len(FIELDS)}",
-        f"WIDTH {len(cloud)}",
+        f"WIDTH {len(positions_m)}",
         "HEIGHT 1",
         "VIEWPOINT 0 0 0 1 0 0 0",
-        f"POINTS {len(cloud)}",
+        f"POINTS {len(positions_m)}",
         "DATA binary",
         "",
     ]

@@ -31,8 +31,8 @@ SEQUENCES = (
 def fingerprint(job: tuple[str, str, int]) -> str:
     """Return one line: the sequence, the method, the two sums (– without a dense map), and the figures for the eye."""
     from stillroom.datasets.open import open_dataset
-    from stillroom.methods.registry import configure
     from stillroom.pipeline import RunOptions, run
+    from stillroom.presets.registry import configure
 
     sequence, method, seed = job
     outcome = run(open_dataset(sequence), configure(method, seed=seed), RunOptions(root=None, pictures=0))

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from stillroom.evaluation.timing import peak_memory_mb
-from stillroom.methods.registry import configure
+from stillroom.presets.registry import configure
 from stillroom.system import build
 from stillroom_scenes.config import open_synthetic
 

@@ -35,12 +35,13 @@ LEVELS = {
     "config": 5,
     "download": 5,
     "system": 6,
-    "methods": 7,
-    "pipeline": 8,
-    "warmup": 8,
-    "testing": 8,
-    "bench": 9,
-    "cli": 10,
+    "presets": 7,
+    "session": 8,
+    "pipeline": 9,
+    "warmup": 9,
+    "testing": 9,
+    "bench": 10,
+    "cli": 11,
 }
 FREE_TO_ALL = {"bounds", "errors", "__init__"}
 FRONT_DOOR = "__init__", 2
@@ -388,8 +389,8 @@ FAULTS: dict[str, tuple[Rule, dict[str, str], str]] = {
     ),
     "upward import by the root": (
         imports_of_rooms_that_are_not_lower,
-        {"stillroom/tracking/pose.py": "from stillroom import methods\n"},
-        "stillroom/tracking/pose.py:1: tracking (4) imports methods (7)",
+        {"stillroom/tracking/pose.py": "from stillroom import presets\n"},
+        "stillroom/tracking/pose.py:1: tracking (4) imports presets (7)",
     ),
     "import of a room of one's own level": (
         imports_of_rooms_that_are_not_lower,

@@ -9,7 +9,7 @@ import pytest
 from stillroom.bounds import BOUNDS, Bounds, bounded, check
 from stillroom.config import SlamConfig, with_overrides
 from stillroom.errors import ConfigError
-from stillroom.methods.registry import OWN, configure
+from stillroom.presets.registry import OWN, configure
 from stillroom.system import build
 from stillroom.testing.tiny_sequence import TINY_CAMERA
 

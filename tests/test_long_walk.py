@@ -11,7 +11,7 @@ from larger_map import add_far_copies
 from stillroom.data.image import RgbdImage
 from stillroom.data.result import FrameResult
 from stillroom.evaluation.timing import peak_memory_mb
-from stillroom.methods.registry import configure
+from stillroom.presets.registry import configure
 from stillroom.system import System, build
 from stillroom_scenes.config import open_synthetic
 from stillroom_scenes.room import SyntheticRoom

@@ -1,11 +1,21 @@
-"""Stillroom: where an RGB-D camera was in a room full of people, and a map of what stays."""
+"""Stillroom: where an RGB-D camera was in a room full of people, and a map of what stays.
 
-import os as _os
+::
 
-from stillroom.data.locations import cache_folder as _cache_folder
+    import stillroom as sr
+
+    dataset = sr.open_dataset("rgbd_bonn_crowd")
+    with sr.Slam("oc-slam", dataset.camera) as slam:
+        for image in dataset:
+            result = slam.process(image)
+    slam.trajectory().write_tum("trajectory.tum")
+
+Names are loaded when they are first used (`__init__.pyi` lists them); importing the package changes nothing in the
+process.
+"""
+
+import lazy_loader
 
 __version__ = "0.1.0"
 
-# Numba reads this variable when it is first imported, so it is set here, before any kernel can be. The version is part
-# of the path because numba asks only of a kernel's own file whether it changed, not of the files of those it calls.
-_os.environ.setdefault("NUMBA_CACHE_DIR", str(_cache_folder() / "numba" / __version__))
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

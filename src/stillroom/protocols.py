@@ -19,7 +19,7 @@ socket               question it answers                                        
 The sockets are structural: nothing inherits from them. `stillroom.testing` holds the contract of each.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import ParamSpec, Protocol, TypeVar, runtime_checkable
 
@@ -87,6 +87,9 @@ class Dataset(Protocol):
 
     def __len__(self) -> int:
         """Number of images."""
+
+    def __iter__(self) -> Iterator[RgbdImage]:
+        """Yield the images in order; those that cannot be used are left out with a warning each."""
 
     def load(self, index: int) -> RgbdImage:
         """Return image `index`.

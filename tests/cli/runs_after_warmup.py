@@ -21,8 +21,8 @@ from stillroom.dense.export.formats import FORMATS, ExportConfig, chosen_formats
 from stillroom.dense.inpainting import InpaintingConfig
 from stillroom.dynamics.homography.homography_sieve import CompensatedHomographyConfig
 from stillroom.dynamics.multiview.multiview_sieve import MultiViewConfig
-from stillroom.methods.registry import OWN, method
 from stillroom.pipeline.plots import draw_maps
+from stillroom.presets.registry import OWN, method
 from stillroom.semantics.truth import TrueSemanticsConfig
 from stillroom.system import build
 from stillroom.warmup import kernels, warm_up

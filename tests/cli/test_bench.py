@@ -24,8 +24,8 @@ from stillroom.datasets.selection import select
 from stillroom.errors import ConfigError, StillroomError
 from stillroom.evaluation.report import evaluate
 from stillroom.evaluation.timing import StageClock
-from stillroom.methods.registry import configure, method
 from stillroom.pipeline import RunOptions, run
+from stillroom.presets.registry import configure, method
 from stillroom.semantics.depth_clusters import DepthClustersConfig, NoClustersConfig
 
 ROOM = "synthetic:walking"

@@ -13,7 +13,7 @@ from stillroom.bench.ablation import ablation
 from stillroom.bench.onlookers import MovingThings
 from stillroom.cli.bench import app
 from stillroom.datasets.open import open_dataset
-from stillroom.methods.registry import configure
+from stillroom.presets.registry import configure
 from stillroom.semantics.masks.pspnet import PspNetConfig
 from stillroom.semantics.no_segmenter import NothingConfig
 

@@ -28,7 +28,7 @@ from stillroom.dense.dense_mapper import DenseMapper, DenseMapperConfig
 from stillroom.errors import ConfigError, TrajectoryError
 from stillroom.evaluation.ghosts import CompletenessFigure, Gatherer, GhostFigure
 from stillroom.geometry import se3
-from stillroom.methods.registry import configure
+from stillroom.presets.registry import configure
 from stillroom_scenes.config import open_synthetic
 from stillroom_scenes.room import SyntheticRoom
 

@@ -20,7 +20,7 @@ from stillroom.datasets.selection import select
 from stillroom.dynamics.chain import KeepAllConfig
 from stillroom.dynamics.epipolar_sieve import EpipolarConfig
 from stillroom.errors import ConfigError
-from stillroom.methods.registry import configure
+from stillroom.presets.registry import configure
 from stillroom.semantics.depth_clusters import DepthClustersConfig, NoClustersConfig
 from stillroom.semantics.no_segmenter import NothingConfig
 

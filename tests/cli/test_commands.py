@@ -20,7 +20,7 @@ from stillroom.data.result import FrameSummary, TrackingState
 from stillroom.data.trajectory import Trajectory, read_tum
 from stillroom.errors import StillroomError
 from stillroom.evaluation.report import HEADER
-from stillroom.methods.registry import all_methods, configure
+from stillroom.presets.registry import all_methods, configure
 
 
 def first_line(text: str | None) -> str:
@@ -106,7 +106,7 @@ def test_what_is_not_an_error_of_ours_is_not_hidden(monkeypatch: pytest.MonkeyPa
     def broken(*_: object) -> None:
         raise ZeroDivisionError("a bug")
 
-    monkeypatch.setattr("stillroom.methods.registry.configure", broken)
+    monkeypatch.setattr("stillroom.presets.registry.configure", broken)
     with pytest.raises(ZeroDivisionError, match="a bug"):
         main(["show-config"])
 
@@ -115,7 +115,7 @@ def test_a_long_error_stays_one_line(stillroom: Callable, monkeypatch: pytest.Mo
     def fail(*_: object) -> None:
         raise StillroomError("no [bold]such[/] thing " * 30 + "\nand more")
 
-    monkeypatch.setattr("stillroom.methods.registry.configure", fail)
+    monkeypatch.setattr("stillroom.presets.registry.configure", fail)
     said = stillroom("show-config")
     assert said.code == 1
     assert said.err.count("\n") == 1

@@ -11,8 +11,8 @@ from stillroom.config import SlamConfig, with_overrides
 from stillroom.datasets.open import open_dataset
 from stillroom.datasets.selection import select
 from stillroom.evaluation.trajectory_errors import ate
-from stillroom.methods.method import Method
-from stillroom.methods.registry import OWN
+from stillroom.presets.method import Method
+from stillroom.presets.registry import OWN
 from stillroom.protocols import Dataset, Segmenter
 from stillroom.semantics.no_segmenter import NothingConfig
 from stillroom.semantics.truth import TrueSemanticsConfig

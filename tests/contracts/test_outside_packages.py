@@ -17,7 +17,7 @@ from stillroom.config.kinds import DYNAMICS, SEMANTICS
 from stillroom.datasets.open import open_dataset
 from stillroom.datasets.registry import LAST, all_kinds
 from stillroom.errors import ConfigError, DatasetError
-from stillroom.methods.registry import all_methods
+from stillroom.presets.registry import all_methods
 from stillroom.testing.dataset_contract import KnownPixel, check_dataset
 from stillroom.testing.segmenter_contract import check_segmenter
 from stillroom.testing.tiny_sequence import write_tiny_sequence
@@ -182,7 +182,7 @@ def test_what_is_of_another_type_is_said(group: str, install: Install) -> None:
         (
             "stillroom.methods",
             "mine = mine_of_a_test:METHOD",
-            "from stillroom.methods.registry import OWN\nMETHOD = OWN[1]\n",
+            "from stillroom.presets.registry import OWN\nMETHOD = OWN[1]\n",
             "there is a method 'oc-slam' already",
         ),
         (

@@ -68,11 +68,11 @@ def test_the_pcd_header_is_what_the_format_asks_for(tmp_path: Path) -> None:
 @pytest.mark.parametrize("suffix", ["ply", "pcd", "npz"])
 def test_where_nothing_can_be_written_one_line_says_so(suffix: str, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(StillroomError, match=f"file/cloud.{suffix}: cannot be written"):
+    with pytest.raises(StillroomError, match=rf"file/cloud\.{suffix}: cannot be written"):
         random_cloud(3).write(tmp_path / "file" / f"cloud.{suffix}")
 
 
 def test_a_suffix_that_no_point_format_has_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="cloud.obj: points are written as .ply, .pcd or .npz"):
+    with pytest.raises(ConfigError, match=r"cloud\.obj: points are written as \.ply, \.pcd or \.npz"):
         random_cloud(3).write(str(tmp_path / "cloud.obj"))
     assert not list(tmp_path.iterdir())

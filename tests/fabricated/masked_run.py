@@ -10,7 +10,7 @@ from stillroom.data.result import FrameResult, Tracked
 from stillroom.data.semantics import Semantics
 from stillroom.datasets.selection import select
 from stillroom.geometry import se3
-from stillroom.methods.registry import configure
+from stillroom.presets.registry import configure
 from stillroom.system import build
 from stillroom_scenes.config import open_synthetic
 from stillroom_scenes.room import FrameTruth, SyntheticRoom

@@ -11,7 +11,7 @@ from stillroom.evaluation.trajectory_errors import ate
 from stillroom.geometry import se3
 from stillroom.loops.loop_closer import LoopCloser
 from stillroom.loops.verification import Loop
-from stillroom.methods.registry import configure
+from stillroom.presets.registry import configure
 from stillroom.system import System, build
 
 

@@ -13,7 +13,7 @@ from stillroom.data.question import Question
 from stillroom.data.semantics import Semantics, union_of
 from stillroom.dynamics.asking import ImageMemory
 from stillroom.geometry.epipolar import line_distances_px
-from stillroom.methods.method import Method
+from stillroom.presets.method import Method
 from stillroom.protocols import Parts
 from stillroom.semantics.masks.pspnet import PspNetConfig
 

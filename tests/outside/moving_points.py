@@ -14,7 +14,7 @@ from stillroom.data.frame import Frame
 from stillroom.data.map import Map
 from stillroom.data.motion import Motion
 from stillroom.data.question import Question
-from stillroom.methods.method import Method
+from stillroom.presets.method import Method
 from stillroom.protocols import Parts
 from stillroom.semantics.masks.pspnet import PspNetConfig
 

@@ -18,11 +18,11 @@ from stillroom.datasets.selection import select
 from stillroom.dense.dense_mapper import DenseMapperConfig
 from stillroom.errors import ConfigError, FrameError, MapError
 from stillroom.pipeline import RunOptions, RunOutcome, run
-from stillroom.pipeline.maps import MapFile, MapUse, dense_cloud
 from stillroom.pipeline.options import detector_ranges
 from stillroom.protocols import Dataset
 from stillroom.semantics.mask_files import MaskFilesConfig
 from stillroom.semantics.truth import TrueSemanticsConfig
+from stillroom.session.map_file import MapFile, MapUse, dense_cloud
 from stillroom.storage import load_map
 from stillroom.storage.check import check_map
 from stillroom.storage.keeper import MapKeeperConfig
@@ -262,7 +262,7 @@ KILLED = """
 import os, signal, sys, threading, time
 from pathlib import Path
 
-import stillroom.pipeline.maps as use
+import stillroom.session.map_file as use
 from stillroom.storage.writer import MapWriter
 
 path, log, statement, seconds = Path(sys.argv[1]), sys.argv[2], int(sys.argv[3]), float(sys.argv[4])

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from stillroom.config import SlamConfig
-from stillroom.methods.registry import method
 from stillroom.pipeline import RunOptions, Source, run
+from stillroom.presets.registry import method
 from stillroom.semantics.no_segmenter import NothingConfig
 from stillroom.semantics.truth import TrueSemanticsConfig
 

@@ -22,9 +22,9 @@ from stillroom.errors import ConfigError, FrameError, StillroomError
 from stillroom.evaluation.report import from_json
 from stillroom.evaluation.timing import FRAME
 from stillroom.evaluation.trajectory_errors import ate
-from stillroom.methods.registry import configure, method
 from stillroom.pipeline import RunOptions, RunOutcome, Source, evaluate_folder, run
 from stillroom.pipeline.options import detector_ranges
+from stillroom.presets.registry import configure, method
 from stillroom.protocols import Dataset
 from stillroom.semantics.truth import TrueSemanticsConfig
 from stillroom.semantics.yolo_fastest import YoloFastestConfig

@@ -14,9 +14,9 @@ import pytest
 from stillroom.config import SlamConfig, with_overrides
 from stillroom.datasets.open import open_dataset
 from stillroom.datasets.selection import select
-from stillroom.methods.registry import configure
 from stillroom.pipeline import RunOptions, RunOutcome, run
-from stillroom.pipeline.maps import MapFile, MapUse
+from stillroom.presets.registry import configure
+from stillroom.session.map_file import MapFile, MapUse
 
 POSES_ONLY = ("dense.kind=nothing",)
 

@@ -1,6 +1,7 @@
 """The user's own masks: names, values, and what is wrong with them."""
 
 import logging
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -42,6 +43,15 @@ def test_a_mask_is_found_by_time_or_by_index(tmp_path, name):
     semantics = MaskFilesConfig(tmp_path).build()(image())
     np.testing.assert_array_equal(semantics.mask, labels() > 0)
     assert [box.xyxy_px for box in semantics.boxes] == [(8, 5, 19, 14), (28, 19, 38, 28)]
+
+
+def test_a_mask_called_like_its_colour_image_goes_before_time_and_index(tmp_path):
+    write(tmp_path / "3.png", np.zeros((HEIGHT, WIDTH), np.uint8))
+    write(tmp_path / f"{STAMP_S:.5f}.png", np.zeros((HEIGHT, WIDTH), np.uint8))
+    write(tmp_path / "left-17b.png", labels())
+    segmenter = MaskFilesConfig(tmp_path).build()
+    assert segmenter(replace(image(), name="left-17b")).has_any
+    assert not segmenter(replace(image(), name="left-18b")).has_any
 
 
 def test_the_time_in_a_name_goes_before_the_index(tmp_path):
@@ -124,9 +134,8 @@ def test_labels_cannot_be_read_from_colours(tmp_path):
 def test_folders_that_cannot_serve(tmp_path):
     with pytest.raises(DatasetError, match="no such folder"):
         MaskFilesConfig(tmp_path / "absent").build()
-    (tmp_path / "mask.png").write_bytes(b"no number in its name")
     (tmp_path / "000001.jpg").write_bytes(b"lossy")
-    with pytest.raises(DatasetError, match=r"no masks in it; expected <timestamp>\.png or <index>\.png"):
+    with pytest.raises(DatasetError, match=r"no masks in it; expected <name of the colour image>\.png, "):
         MaskFilesConfig(tmp_path).build()
     write(tmp_path / "3.png", labels())
     write(tmp_path / "0003.png", labels())

@@ -16,7 +16,7 @@ from stillroom.datasets.open import open_dataset
 from stillroom.datasets.selection import select
 from stillroom.dense.no_dense_map import NoDenseMapConfig
 from stillroom.evaluation.trajectory_errors import ate
-from stillroom.methods.registry import method
+from stillroom.presets.registry import method
 from stillroom.protocols import Dataset
 from stillroom.system import System, build
 from stillroom.tracking.relocalizer import RelocalizerConfig

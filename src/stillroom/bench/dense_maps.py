@@ -3,7 +3,6 @@
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-import cv2
 import numpy as np
 
 from stillroom.config import SlamConfig
@@ -32,7 +31,8 @@ from stillroom.geometry.align import align_poses
 from stillroom.geometry.arrays import F64, Floats
 from stillroom.pipeline import SILENT, RunProgress
 from stillroom.protocols import Dataset, Parts, RenderedDataset
-from stillroom.system import System, build
+from stillroom.session.slam import Slam
+from stillroom.system import System
 
 HEADER = ("dense map", "points", "ghosts", "suspects", "complete", "error median", "astray")
 """Names of the columns of `MapFigures.row`."""
@@ -78,19 +78,18 @@ def dense_maps(
         KeyboardInterrupt: The user stopped it: half a map has no figures to compare.
         StillroomError: Something that the run needs is wrong; a single image that cannot be read is not.
     """
-    cv2.setNumThreads(1)
-    cv2.setRNGSeed(config.seed % 2**31)
     mapping = _Twins(mapped)
-    system = build(replace(config, dense=NoDenseMapConfig()), dataset.camera, observer=mapping)
+    slam = Slam(replace(config, dense=NoDenseMapConfig()), dataset.camera, observers=[mapping])
+    system = slam.system
     for name, removal in ((WITH_REMOVAL, True), (WITHOUT_REMOVAL, False)):
         one = replace(dense, carving=replace(dense.carving, removal=removal))
         mapping.mappers[name] = one.build(Parts(dataset.camera, system.map))
-    progress.start(len(dataset))
-    try:
-        _track_all(dataset, system, progress)
-    finally:
-        progress.finish()
-        system.close()
+    with slam:
+        progress.start(len(dataset))
+        try:
+            _track_all(dataset, slam, progress)
+        finally:
+            progress.finish()
     for mapper in mapping.mappers.values():
         mapper.refresh()
     clouds = {name: mapper.cloud() for name, mapper in mapping.mappers.items()}
@@ -115,14 +114,14 @@ class _Twins:
                 mapper.carve(image, tracked.T_world_cam, moving)
 
 
-def _track_all(dataset: Dataset, system: System, progress: RunProgress) -> None:
+def _track_all(dataset: Dataset, slam: Slam, progress: RunProgress) -> None:
     for place in range(len(dataset)):
         try:
-            image = dataset.load(place)
+            result = slam.process(dataset.load(place))
         except FrameError:
             progress.frame(None)
             continue
-        progress.frame(system.process(image))
+        progress.frame(result)
 
 
 def _final_poses(system: System) -> dict[int, F64]:

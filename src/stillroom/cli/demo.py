@@ -11,10 +11,10 @@ from stillroom.cli.warmup import ensure_warm
 from stillroom.config import SlamConfig
 from stillroom.evaluation.report import Evaluation, percent
 from stillroom.evaluation.trajectory_errors import improvement_percent
-from stillroom.methods.registry import configure
 from stillroom.pipeline import RunOptions, RunOutcome, Source, run
 from stillroom.pipeline.plots import draw_plots
 from stillroom.pipeline.results import PICTURES
+from stillroom.presets.registry import configure
 from stillroom.protocols import Dataset
 
 ROOM = "synthetic:walking"

@@ -11,7 +11,7 @@ def methods() -> None:
     """List the methods."""
     from stillroom.cli.output import print_table
     from stillroom.config.kinds import DYNAMICS, SEMANTICS
-    from stillroom.methods.registry import all_methods
+    from stillroom.presets.registry import all_methods
 
     rows = []
     for method in all_methods().values():
@@ -35,6 +35,6 @@ def show_config(
     Each value is one that --set can change; a file with some of them is what --config takes.
     """
     from stillroom.config import to_toml
-    from stillroom.methods.registry import configure
+    from stillroom.presets.registry import configure
 
     typer.echo(to_toml(configure(method, config, settings or (), seed)), nl=False)

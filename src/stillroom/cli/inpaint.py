@@ -55,9 +55,9 @@ def inpaint(
         stillroom inpaint rgbd_bonn_crowd --frames 200:560
         stillroom inpaint synthetic:walking --set semantics.kind=truth --every 10
     """
-    from stillroom.methods.registry import configure
     from stillroom.pipeline import Source
     from stillroom.pipeline.inpainted_sequence import InpaintingRecorderConfig
+    from stillroom.presets.registry import configure
 
     chosen = configure(method, config, settings or (), seed)
     wanted = InpaintingRecorderConfig(every=every, video=video, map_every=MAP_EVERY if from_map else 0)

@@ -121,7 +121,7 @@ def _write_sparse(name: str, stored: "StoredMap", folder: Path) -> list[str]:
 
 def _write_dense(names: tuple[str, ...], path: Path, stored: "StoredMap", folder: Path) -> list[str]:
     from stillroom.dense.export.formats import FORMATS, ExportConfig
-    from stillroom.pipeline.maps import dense_cloud
+    from stillroom.session.map_file import dense_cloud
 
     cloud = dense_cloud(path, stored)
     return [f"{w.path}: {w.content}" for name in names for w in FORMATS[name](cloud, folder, ExportConfig())]

@@ -1,5 +1,6 @@
 """`stillroom run`."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,8 +11,8 @@ from stillroom.errors import ConfigError
 
 if TYPE_CHECKING:
     from stillroom.config import SlamConfig
-    from stillroom.pipeline import RunOutcome, Source
-    from stillroom.pipeline.maps import MapFile
+    from stillroom.pipeline import RunOptions, RunOutcome, Source
+    from stillroom.session.map_file import MapFile
 
 INTERRUPTED = 130
 
@@ -27,6 +28,14 @@ Localize = Annotated[
     bool, typer.Option("--localize", help="Track against the map of --map as it is; nothing is written into it.")
 ]
 
+DetectorOff = Annotated[
+    list[str] | None, typer.Option(metavar="A:B", help="Let the detector find nothing in these; repeatable.")
+]
+ExportMasks = Annotated[
+    Path | None,
+    typer.Option(metavar="DIR", help="Write each frame's moving pixels here, as a PNG named like its colour image."),
+]
+
 
 def run(
     sequence: Annotated[
@@ -40,9 +49,7 @@ def run(
     blackout: Annotated[
         list[str] | None, typer.Option(metavar="A:B", help="Turn these frames black, without depth; repeatable.")
     ] = None,
-    detector_off: Annotated[
-        list[str] | None, typer.Option(metavar="A:B", help="Let the detector find nothing in these; repeatable.")
-    ] = None,
+    detector_off: DetectorOff = None,
     reverse: Annotated[bool, typer.Option("--reverse", help="Play backwards what these leave.")] = False,
     map_: Map = None,
     continue_: Continue = False,
@@ -59,6 +66,7 @@ def run(
     ] = None,
     settings: Settings = None,
     config: ConfigFile = None,
+    export_masks: ExportMasks = None,
     pictures: Annotated[int, typer.Option(min=0, metavar="N", help="How many frames to draw; 0: no pictures.")] = 8,
 ) -> None:
     """Track the camera through a sequence.
@@ -72,18 +80,26 @@ def run(
         stillroom run rgbd_bonn_crowd --frames :200 --map room.stillmap
         stillroom run rgbd_bonn_crowd --frames 200: --map room.stillmap --localize
     """
-    from stillroom.methods.registry import configure
-    from stillroom.pipeline import Source
+    from stillroom.pipeline import RunOptions, Source
+    from stillroom.presets.registry import configure
 
     chosen = configure(method, config, settings or (), seed)
     source = Source(sequence, camera, fps, frames, tuple(drop or ()), tuple(blackout or ()), reverse)
     map_file = _map_file(map_, continue_, localize)
-    _track(chosen, source, out, pictures, tuple(detector_off or ()), map_file)
+    options = RunOptions(
+        folder=out,
+        pictures=pictures,
+        source=source,
+        asked=map_file.described() if map_file else {},
+        map=map_file,
+        masks=export_masks,
+    )
+    _track(chosen, source, options, tuple(detector_off or ()))
 
 
 def _map_file(path: Path | None, continue_: bool, localize: bool) -> "MapFile | None":
     """Return what is to be done with which map file; one that cannot be used so is told now."""
-    from stillroom.pipeline.maps import MapFile, MapUse
+    from stillroom.session.map_file import MapFile, MapUse
 
     if path is None:
         if continue_ or localize:
@@ -97,18 +113,10 @@ def _map_file(path: Path | None, continue_: bool, localize: bool) -> "MapFile | 
     return map_file
 
 
-def _track(
-    chosen: "SlamConfig",
-    source: "Source",
-    out: Path | None,
-    pictures: int,
-    detector_off: tuple[str, ...],
-    map_file: "MapFile | None",
-) -> None:
+def _track(chosen: "SlamConfig", source: "Source", options: "RunOptions", detector_off: tuple[str, ...]) -> None:
     from stillroom.cli.output import STDERR, RunBar, say, show_log
     from stillroom.cli.warmup import ensure_warm
     from stillroom.datasets.recording import rendered
-    from stillroom.pipeline import RunOptions
     from stillroom.pipeline import run as run_pipeline
     from stillroom.pipeline.options import detector_ranges
     from stillroom.pipeline.results import chosen_folder
@@ -116,14 +124,11 @@ def _track(
 
     show_log()
     dataset = source.open()
-    options = RunOptions(
-        folder=chosen_folder(out) if out is not None else None,
-        pictures=pictures,
+    options = replace(
+        options,
+        folder=chosen_folder(options.folder) if options.folder is not None else None,
         detector_off=detector_ranges(detector_off, dataset),
         segmenter=segmenter_of(chosen, dataset.camera),  # now: what is absent is told before kernels are compiled
-        source=source,
-        asked=map_file.described() if map_file else {},
-        map=map_file,
     )
     say(f"{chosen.method} on {dataset.name}: {len(dataset)} images; camera: {dataset.camera_source}")
     ensure_warm(STDERR, rendered(dataset) is not None)
@@ -166,6 +171,8 @@ def _sentences(outcome: "RunOutcome") -> list[str]:
     sentences.append(text)
     if outcome.map_file is not None:
         sentences.append(f"map file: {outcome.map_file}")
+    if outcome.masks is not None:
+        sentences.append(f"masks: {outcome.masks}")
     if outcome.folder is not None:
         sentences.append(f"results: {outcome.folder}")
     return sentences

@@ -188,7 +188,7 @@ def choose_camera(folder: Path, sequence_name: str, option: str | None) -> tuple
         CalibrationError: None of the three gives one, or the one it gives cannot be read.
     """
     if option is not None:
-        return _from_option(option)
+        return camera_of(option)
     own = folder / CAMERA_FILE_NAME
     if own.is_file():
         return read_camera(own), f"the sequence's own {CAMERA_FILE_NAME}: {own}"
@@ -201,7 +201,12 @@ def choose_camera(folder: Path, sequence_name: str, option: str | None) -> tuple
     )
 
 
-def _from_option(option: str) -> tuple[Camera, str]:
+def camera_of(option: str) -> tuple[Camera, str]:
+    """Return the calibration that a name or the path of a camera file stands for, and say in one line which it is.
+
+    Raises:
+        CalibrationError: There is no such name or file, or the file makes no camera.
+    """
     path = Path(option).expanduser()
     # A name wins over a file of the same name; `./bonn` reaches the file.
     is_name = option.lower() in NAMED_CAMERAS or option.lower() in ALIASES

@@ -144,7 +144,7 @@ class ImageSequence(Recording):
         if rgb.shape[:2] != expected:
             raise FrameError(f"{self.rgb_files[index]}: {_size(rgb)} pixels; the sequence has {_size_of(self.camera)}")
         depth_m = depth_in_metres(units, self.camera.depth_factor)
-        return RgbdImage(float(self.timestamps_s[index]), rgb, depth_m, index)
+        return RgbdImage(float(self.timestamps_s[index]), rgb, depth_m, index, self.rgb_files[index].stem)
 
 
 def build_sequence(

@@ -1,14 +1,30 @@
 """What a data set is made from: the defaults of a whole recording, and a data set that shows another one."""
 
+import logging
+from collections.abc import Iterator
 from typing import cast
 
 import numpy as np
 
 from stillroom.data.image import RgbdImage
 from stillroom.data.trajectory import Trajectory
+from stillroom.errors import FrameError
 from stillroom.geometry.arrays import F64, I64
 from stillroom.geometry.camera import Camera
 from stillroom.protocols import Dataset, KnownScene, RenderedDataset
+
+log = logging.getLogger(__name__)
+
+
+def readable_images(dataset: Dataset) -> Iterator[RgbdImage]:
+    """Yield the images of a data set in order; those that cannot be used are left out with a warning each."""
+    for place in range(len(dataset)):
+        try:
+            image = dataset.load(place)
+        except FrameError as error:
+            log.warning("image %d is left out: %s", int(dataset.numbers[place]), error)
+        else:
+            yield image
 
 
 class Recording:
@@ -47,6 +63,10 @@ class Recording:
     def __len__(self) -> int:
         """Number of images."""
         return len(self.timestamps_s)
+
+    def __iter__(self) -> Iterator[RgbdImage]:
+        """Yield the images in order; those that cannot be used are left out with a warning each."""
+        return readable_images(cast(Dataset, self))
 
 
 def rendered(dataset: Dataset) -> RenderedDataset | None:
@@ -116,6 +136,10 @@ class DatasetView:
     def __len__(self) -> int:
         """Number of images."""
         return len(self._inner)
+
+    def __iter__(self) -> Iterator[RgbdImage]:
+        """Yield the images in order; those that cannot be used are left out with a warning each."""
+        return readable_images(self)
 
     def load(self, index: int) -> RgbdImage:
         """Return image `index`.

@@ -10,8 +10,8 @@ from stillroom.datasets.selection import parse_range, select
 from stillroom.errors import ConfigError
 from stillroom.evaluation.report import Evaluation
 from stillroom.evaluation.timing import StageClock
-from stillroom.pipeline.maps import MapFile
 from stillroom.protocols import Dataset, RunObserver, Segmenter
+from stillroom.session.map_file import MapFile
 from stillroom.system import System
 
 # What a run came to.
@@ -32,6 +32,7 @@ class RunOutcome:
         bad: Number and time [s] of each image that cannot be read.
         pictures: What was drawn.
         map_file: Where the map was kept; None where it was not.
+        masks: The folder that the moving pixels of each frame were written into; None where they were not.
     """
 
     method: str
@@ -44,6 +45,7 @@ class RunOutcome:
     bad: list[tuple[int, float]] = field(default_factory=list)
     pictures: tuple[Path, ...] = ()
     map_file: Path | None = None
+    masks: Path | None = None
 
     @property
     def n_bad(self) -> int:
@@ -108,6 +110,7 @@ class RunOptions:
         source: Where the images come from; noted in config.toml.
         asked: What else is to be noted there.
         map: The map file to make, to go on in, or to track against.
+        masks: The folder into which the moving pixels of each frame are written; None for nowhere.
     """
 
     root: Path | None = Path("results")
@@ -119,6 +122,7 @@ class RunOptions:
     source: Source | None = None
     asked: dict[str, Any] = field(default_factory=dict)
     map: MapFile | None = None
+    masks: Path | None = None
 
 
 def detector_ranges(texts: Iterable[str], dataset: Dataset) -> tuple[tuple[int, int], ...]:

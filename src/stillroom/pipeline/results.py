@@ -41,8 +41,8 @@ from stillroom.errors import ConfigError, StillroomError
 from stillroom.evaluation.report import Evaluation, to_json
 from stillroom.evaluation.timing import FRAME, peak_memory_mb
 from stillroom.pipeline.options import RunOptions, RunOutcome
-from stillroom.pipeline.provenance import provenance
 from stillroom.protocols import Dataset
+from stillroom.session.provenance import provenance
 from stillroom.system import System
 
 log = logging.getLogger(__name__)

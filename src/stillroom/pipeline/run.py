@@ -2,7 +2,6 @@
 
 import logging
 import signal
-import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -10,24 +9,23 @@ from pathlib import Path
 from types import FrameType, TracebackType
 from typing import Any, Protocol
 
-import cv2
 import numpy as np
 
 from stillroom.config import SlamConfig
 from stillroom.data.image import RgbdImage
-from stillroom.data.result import FrameResult, FrameSummary, Tracked, TrackingState
-from stillroom.data.semantics import Semantics
+from stillroom.data.result import FrameSummary, TrackingState
 from stillroom.errors import ConfigError, FrameError
-from stillroom.evaluation.timing import FRAME, StageClock
 from stillroom.pipeline import results
 from stillroom.pipeline.evaluating import evaluate_trajectory
-from stillroom.pipeline.maps import OpenedMap, opened_map
 from stillroom.pipeline.options import RunOptions, RunOutcome
 from stillroom.pipeline.plots import draw_maps, draw_plots
 from stillroom.protocols import Dataset, RunObserver
 from stillroom.semantics.detector import withhold
 from stillroom.semantics.mask_files import MaskFilesConfig
-from stillroom.system import build, segmenter_of
+from stillroom.session.map_file import MapUse
+from stillroom.session.slam import Slam
+from stillroom.system import segmenter_of
+from stillroom.viz.masks import MaskWriter
 from stillroom.viz.no_observer import NoObserver
 from stillroom.viz.recorder import PictureRecorderConfig
 
@@ -35,7 +33,6 @@ log = logging.getLogger(__name__)
 MAX_UNREADABLE = 10
 BLACK_BELOW = 8
 LOADING = "loading"
-SWITCH_INTERVAL_S = 0.0005
 
 
 # Ctrl-C in the middle of a run.
@@ -182,80 +179,53 @@ def run(
         config = options.map.fitting(config)
     if dataset.is_reversed and isinstance(config.semantics, MaskFilesConfig):
         raise ConfigError("--reverse changes the numbers and times by which masks are found; leave one of them out")
-    _settle(config.seed)
-    with opened_map(options.map, config, dataset) as opened:
-        return _run(dataset, config, options, progress, opened)
-
-
-def _run(
-    dataset: Dataset, config: SlamConfig, options: RunOptions, progress: RunProgress, opened: OpenedMap
-) -> RunOutcome:
-    clock, newest = StageClock(), _Newest()
-    segmenter = withhold(options.segmenter or segmenter_of(config, dataset.camera), options.detector_off)
-    system = build(
-        config, dataset.camera, segmenter, observer=newest, clock=clock, world=opened.world, keeper=opened.keeper
+    slam = Slam(
+        config,
+        dataset.camera,
+        map=None if options.map is None else options.map.path,
+        map_use=MapUse.NEW if options.map is None else options.map.use,
+        segmenter=withhold(options.segmenter or segmenter_of(config, dataset.camera), options.detector_off),
+        sequence=dataset.name,
     )
-    folder = _folder(dataset, config, options)
-    outcome = RunOutcome(config.method, folder, system, clock, map_file=opened.written)
-    if folder is not None:
-        results.write_config(folder, dataset, config, options)
-    with (
-        StopRequest() as stop,
-        _concluded_in_any_case(outcome, dataset, stop, options.pictures > 0),
-        opened.completed(),
-    ):
-        onlookers = [_recorder(folder, dataset, options.pictures)]
-        onlookers += [options.observe(system)] if options.observe is not None else []
-        progress.start(len(dataset))
-        try:
-            _track_all(dataset, outcome, stop, newest, onlookers, progress)
-        finally:
-            progress.finish()
-            with clock.stage(FRAME):
-                system.close()
-            clock.conclude()
+    with StopRequest() as stop, slam:
+        folder = _folder(dataset, slam.config, options)
+        outcome = RunOutcome(
+            config.method, folder, slam.system, slam.clock, map_file=slam.map_file, masks=options.masks
+        )
+        if folder is not None:
+            results.write_config(folder, dataset, slam.config, options)
+        slam.observe(_recorder(folder, dataset, options.pictures))
+        if options.masks is not None:
+            slam.observe(MaskWriter(options.masks))
+        if options.observe is not None:
+            slam.observe(options.observe(slam.system))
+        with _concluded_in_any_case(outcome, dataset, stop, options.pictures > 0), slam:
+            progress.start(len(dataset))
+            try:
+                _track_all(dataset, slam, outcome, stop, progress)
+            finally:
+                progress.finish()
     return outcome
 
 
-def _settle(seed: int) -> None:
-    """Hold OpenCV to one thread, seed it, and let Python's threads take turns quickly.
-
-    onnxruntime's sessions are made with one thread. BLAS takes its number from OPENBLAS_NUM_THREADS, MKL_NUM_THREADS
-    or OMP_NUM_THREADS when numpy is imported; the command line sets these.
-    """
-    cv2.setNumThreads(1)
-    cv2.setRNGSeed(seed % 2**31)
-    sys.setswitchinterval(SWITCH_INTERVAL_S)
-
-
-def _track_all(
-    dataset: Dataset,
-    outcome: RunOutcome,
-    stop: StopRequest,
-    newest: "_Newest",
-    onlookers: list[RunObserver],
-    progress: RunProgress,
-) -> None:
-    system, clock, remarks = outcome.system, outcome.clock, Remarks()
+def _track_all(dataset: Dataset, slam: Slam, outcome: RunOutcome, stop: StopRequest, progress: RunProgress) -> None:
+    remarks = Remarks()
     for place in range(len(dataset)):
         if stop.asked:
             outcome.interrupted = True
             return
         outcome.n_given += 1
         try:
-            with clock.stage(LOADING):
+            with slam.clock.stage(LOADING):
                 image = dataset.load(place)
+            result = slam.process(image)
         except FrameError as error:
             number = int(dataset.numbers[place])
             outcome.bad.append((number, float(dataset.timestamps_s[place])))
             remarks.unreadable(number, error)
             progress.frame(None)
             continue
-        with clock.stage(FRAME):
-            result = system.process(image)
-        clock.next_frame(image.index)
         remarks.frame(image, result)
-        newest.show(onlookers)
         progress.frame(result)
 
 
@@ -311,20 +281,3 @@ def _recorder(folder: Path | None, dataset: Dataset, n_pictures: int) -> RunObse
     places = (np.arange(n_pictures) + 0.5) * len(numbers) / n_pictures
     chosen = tuple(int(number) for number in numbers[np.unique(places.astype(np.int64))])
     return PictureRecorderConfig(every=0, frames=chosen).build(folder / results.PICTURES)
-
-
-class _Newest:
-    """Keeps the newest frame until its time is taken, so that what looks on costs the frame nothing."""
-
-    def __init__(self) -> None:
-        self._seen: tuple[Tracked, Semantics, FrameResult] | None = None
-
-    def on_frame(self, tracked: Tracked, semantics: Semantics, result: FrameResult) -> None:
-        self._seen = (tracked, semantics, result)
-
-    def show(self, onlookers: list[RunObserver]) -> None:
-        """Let them look at it."""
-        if self._seen is not None:
-            for onlooker in onlookers:
-                onlooker.on_frame(*self._seen)
-        self._seen = None

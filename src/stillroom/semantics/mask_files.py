@@ -29,8 +29,9 @@ logger = logging.getLogger(__name__)
 class MaskFilesConfig:
     """Where masks lie and how they are read.
 
-    A file belongs to a frame by its name: `1548339819.87426.png` (a number with a point) by the colour image's
-    timestamp in seconds, `000012.png` or `mask_12.png` (no point) by the frame's index, counted from 0.
+    A file belongs to a frame by its name: that of the colour image, whatever it is; else `1548339819.87426.png` (a
+    number with a point) by the colour image's timestamp in seconds, and `000012.png` or `mask_12.png` (no point) by the
+    frame's index, counted from 0.
 
     Attributes:
         folder: The folder with the masks.
@@ -71,7 +72,7 @@ class MaskFiles:
     def __init__(self, folder: Path, config: MaskFilesConfig) -> None:
         self._folder = folder
         self._config = config
-        self._by_index, by_time = _list_masks(folder)
+        self._by_index, by_time, self._by_name = _list_masks(folder)
         self._times_s = np.array(sorted(by_time))
         self._by_time = [by_time[time] for time in self._times_s]
         self._warned = False
@@ -112,6 +113,8 @@ class MaskFiles:
         return tuple(found)
 
     def _find(self, image: RgbdImage) -> Path | None:
+        if image.name in self._by_name:
+            return self._by_name[image.name]
         if len(self._times_s):
             nearest = int(np.argmin(np.abs(self._times_s - image.timestamp_s)))
             if abs(self._times_s[nearest] - image.timestamp_s) <= TIME_TOLERANCE_S:
@@ -138,25 +141,31 @@ class MaskFiles:
         return np.asarray(np.isin(colors[..., 0], self._config.movable_values), dtype=np.uint8)
 
 
-def _list_masks(folder: Path) -> tuple[dict[int, Path], dict[float, Path]]:
-    """Return the masks of a folder by index, and by time [s]."""
+def _list_masks(folder: Path) -> tuple[dict[int, Path], dict[float, Path], dict[str, Path]]:
+    """Return the masks of a folder by index, by time [s], and by name without suffix."""
     if not folder.is_dir():
         raise DatasetError(f"{folder}: no such folder; mask_files.folder names the folder that holds the masks")
     by_index: dict[int, Path] = {}
     by_time: dict[float, Path] = {}
+    by_name: dict[str, Path] = {}
     for path in sorted(folder.iterdir()):
-        number = re.search(r"(\d+\.\d+|\d+)$", path.stem)
-        if path.suffix.lower() not in SUFFIXES or number is None:
+        if path.suffix.lower() not in SUFFIXES:
             continue
-        text = number.group()
-        rival = by_time.setdefault(float(text), path) if "." in text else by_index.setdefault(int(text), path)
-        if rival != path:
-            raise DatasetError(f"{path}: claims the same frame as {rival.name}; remove one of them")
-    if not by_index and not by_time:
+        rivals = [by_name.setdefault(path.stem, path)]
+        number = re.search(r"(\d+\.\d+|\d+)$", path.stem)
+        if number is not None:
+            text = number.group()
+            numbered = by_time.setdefault(float(text), path) if "." in text else by_index.setdefault(int(text), path)
+            rivals.append(numbered)
+        for rival in rivals:
+            if rival != path:
+                raise DatasetError(f"{path}: claims the same frame as {rival.name}; remove one of them")
+    if not by_name:
         raise DatasetError(
-            f"{folder}: no masks in it; expected <timestamp>.png or <index>.png ({', '.join(sorted(SUFFIXES))})"
+            f"{folder}: no masks in it; expected <name of the colour image>.png, <timestamp>.png or <index>.png "
+            f"({', '.join(sorted(SUFFIXES))})"
         )
-    return by_index, by_time
+    return by_index, by_time, by_name
 
 
 def _numbers(pixels: Ints) -> Ints:

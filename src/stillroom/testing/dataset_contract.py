@@ -59,8 +59,16 @@ def check_dataset(dataset: Dataset, *known_pixels: KnownPixel) -> None:
         if image is not None:
             _check_image(dataset, place, image)
     _check_repeats(dataset, first_pass)
+    _check_iteration(dataset)
     for pixel in known_pixels:
         _check_pixel(dataset, pixel)
+
+
+def _check_iteration(dataset: Dataset) -> None:
+    readable = [place for place in range(min(len(dataset), 3)) if _load(dataset, place) is not None]
+    for place, image in zip(readable, dataset, strict=False):
+        assert image.index == int(dataset.numbers[place]), f"iterating gives image {image.index} in place {place}"
+        assert image.timestamp_s == float(dataset.timestamps_s[place]), f"iterating gives another time in place {place}"
 
 
 def _check_description(dataset: Dataset) -> None:

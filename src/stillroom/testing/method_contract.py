@@ -20,7 +20,7 @@ from stillroom.data.result import FrameResult, FrameSummary, TrackingState
 from stillroom.data.semantics import nothing
 from stillroom.data.trajectory import Trajectory
 from stillroom.geometry.arrays import F64
-from stillroom.methods.method import Method
+from stillroom.presets.method import Method
 from stillroom.protocols import Dataset, Segmenter
 from stillroom.system import System, build
 

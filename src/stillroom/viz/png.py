@@ -9,12 +9,12 @@ from stillroom.geometry.arrays import U8
 
 
 def write_png(path: Path, picture: U8) -> None:
-    """Write a picture (H, W, 3), RGB; its folder is made.
+    """Write a picture, RGB (H, W, 3) or grey (H, W); its folder is made.
 
     Raises:
         StillroomError: The file cannot be written.
     """
-    _, png = cv2.imencode(".png", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
+    _, png = cv2.imencode(".png", picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(png.tobytes())

@@ -20,7 +20,7 @@ from stillroom.datasets.open import open_dataset
 from stillroom.datasets.selection import select
 from stillroom.dynamics.segment_sieve import MovedSegments, MovedSegmentsConfig, spread
 from stillroom.errors import ConfigError
-from stillroom.methods.registry import configure
+from stillroom.presets.registry import configure
 from stillroom.system import build
 
 CHAIR = Thing(200, 200, 120, 180, 2.0)

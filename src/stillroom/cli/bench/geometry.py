@@ -16,8 +16,8 @@ from stillroom.cli.output import print_lines, say
 from stillroom.config import SlamConfig
 from stillroom.datasets.recording import rendered
 from stillroom.errors import ConfigError
-from stillroom.methods.registry import configure
 from stillroom.pipeline import Source
+from stillroom.presets.registry import configure
 from stillroom.protocols import Dataset
 from stillroom.warmup import warm_up
 

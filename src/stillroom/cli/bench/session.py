@@ -16,9 +16,9 @@ from stillroom.config import SlamConfig
 from stillroom.datasets.recording import rendered
 from stillroom.errors import StillroomError
 from stillroom.pipeline import Source
-from stillroom.pipeline.provenance import provenance
 from stillroom.protocols import Dataset
 from stillroom.semantics.detector import FrameRange
+from stillroom.session.provenance import provenance
 
 INTERRUPTED = 130
 R = TypeVar("R")

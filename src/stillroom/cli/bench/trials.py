@@ -19,8 +19,8 @@ from stillroom.cli.bench.session import Bench, Camera, Frames, Methods, Out, Run
 from stillroom.cli.output import print_lines
 from stillroom.config import SlamConfig
 from stillroom.errors import ConfigError
-from stillroom.methods.registry import configure
 from stillroom.pipeline import Source
+from stillroom.presets.registry import configure
 from stillroom.warmup import warm_up
 
 PRESETS = "orb-slam2,oc-slam"

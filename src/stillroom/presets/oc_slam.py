@@ -9,7 +9,7 @@ matches, over more than one image (`dynamics/cluster_sieve.py`). The paper's lit
 from stillroom.config import SlamConfig
 from stillroom.dense.dense_mapper import DenseMapperConfig
 from stillroom.dynamics.cluster_sieve import ClusterSieveConfig
-from stillroom.methods.method import Method
+from stillroom.presets.method import Method
 from stillroom.semantics.depth_clusters import DepthClustersConfig
 from stillroom.semantics.yolo_fastest import YoloFastestConfig
 

@@ -13,9 +13,9 @@ import pytest
 from stillroom.datasets.open import open_dataset
 from stillroom.datasets.selection import select
 from stillroom.dynamics import whole_boxes
-from stillroom.methods.method import Method
-from stillroom.methods.registry import configure
 from stillroom.pipeline import RunOptions, RunOutcome, run
+from stillroom.presets.method import Method
+from stillroom.presets.registry import configure
 from stillroom.protocols import Dataset
 from stillroom.testing.sieve_contract import check_sieve
 from stillroom.testing.sieve_jumps import check_follows_jumps

@@ -14,9 +14,9 @@ from pathlib import Path
 from stillroom.bounds import check
 from stillroom.config import SlamConfig, read_toml, updated, with_overrides
 from stillroom.errors import ConfigError
-from stillroom.methods import dynaslam, dynaslam_g, dynaslam_n, oc_slam, orb_slam2, pspnet_slam
-from stillroom.methods.method import Method
 from stillroom.plugins import PluginGroup
+from stillroom.presets import dynaslam, dynaslam_g, dynaslam_n, oc_slam, orb_slam2, pspnet_slam
+from stillroom.presets.method import Method
 
 __all__ = ["DEFAULT", "OWN", "Method", "all_methods", "configure", "method"]
 

@@ -10,7 +10,7 @@ from stillroom.config import SlamConfig
 from stillroom.dense.dense_mapper import DenseMapperConfig
 from stillroom.dynamics.masked_keypoints import MaskedKeypointsConfig
 from stillroom.dynamics.multiview.multiview_sieve import MultiViewConfig
-from stillroom.methods.method import Method
+from stillroom.presets.method import Method
 from stillroom.semantics.masks.pspnet import PspNetConfig
 from stillroom.semantics.masks.regions import RegionsConfig
 from stillroom.tracking.low_cost import LowCostConfig

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 from stillroom.dynamics.chain import KeepAllKeypointsConfig
 from stillroom.dynamics.multiview.multiview_sieve import MultiViewConfig
-from stillroom.methods import dynaslam
-from stillroom.methods.method import Method
+from stillroom.presets import dynaslam
+from stillroom.presets.method import Method
 from stillroom.semantics.no_segmenter import NothingConfig
 
 METHOD = Method(

@@ -14,15 +14,13 @@ from stillroom.dense.no_dense_map import NoDenseMapConfig
 from stillroom.errors import MapError
 from stillroom.features.places.vocabulary import load_vocabulary
 from stillroom.geometry.camera import Camera
-from stillroom.pipeline.provenance import provenance
-from stillroom.protocols import Dataset, Parts
+from stillroom.protocols import Parts
+from stillroom.session.provenance import provenance
 from stillroom.storage.keeper import MapKeeper
 from stillroom.storage.opening import inspect, require_unused
 from stillroom.storage.reader import keyframe_images, load_map
 from stillroom.storage.schema import Session, StoredMap
 from stillroom.storage.writer import MapWriter
-
-# What a run does with a map file: make it, go on in it, or track against it.
 
 
 class MapUse(StrEnum):
@@ -80,23 +78,24 @@ class OpenedMap:
         world: The map in it; None for a run that keeps no map.
         keeper: Writes it; None where nothing is written.
         written: The file, where it is written.
+        earlier: What the file held before the run; None where it held nothing.
     """
 
     world: Map | None = None
     keeper: MapKeeper | None = None
     written: Path | None = None
-
-    @contextmanager
-    def completed(self) -> Iterator[None]:
-        """Write what is left when the block ends; after an error the last keyframe's commit stays."""
-        yield
-        if self.keeper is not None:
-            self.keeper.close()
+    earlier: StoredMap | None = None
 
 
 @contextmanager
-def opened_map(file: MapFile | None, config: SlamConfig, dataset: Dataset) -> Iterator[OpenedMap]:
+def opened_map(file: MapFile | None, config: SlamConfig, camera: Camera, sequence: str) -> Iterator[OpenedMap]:
     """Open the map file of a run, where it has one, and let it go in any case.
+
+    Args:
+        file: The file and what is to be done with it.
+        config: The method.
+        camera: The calibration of the images to come.
+        sequence: What they are called.
 
     Raises:
         MapError: The file cannot be used so, or does not fit the config or the camera; it is then as it was.
@@ -104,21 +103,21 @@ def opened_map(file: MapFile | None, config: SlamConfig, dataset: Dataset) -> It
     if file is None:
         yield OpenedMap()
         return
+    earlier = None if file.use is MapUse.NEW else _loaded(file.path, config)
     if file.use is MapUse.LOCALIZE:
-        yield OpenedMap(_loaded(file.path, config).world)
+        assert earlier is not None
+        yield OpenedMap(earlier.world, earlier=earlier)
         return
-    if file.use is MapUse.NEW:
+    if earlier is None:
         world = Map(config.features.scales)
-        writer = MapWriter.create(file.path, world, dataset.camera)
+        writer = MapWriter.create(file.path, world, camera)
     else:
-        stored = _loaded(file.path, config)
-        _require_camera(file.path, stored.camera, dataset)
-        world, writer = stored.world, MapWriter.go_on(file.path, stored.world)
+        _require_camera(file.path, earlier.camera, camera, sequence)
+        world, writer = earlier.world, MapWriter.go_on(file.path, earlier.world)
     try:
-        number = writer.begin(_session(world, config, dataset))
-        yield OpenedMap(
-            world, config.storage.build(Parts(dataset.camera, world, config.seed), writer, number), file.path
-        )
+        number = writer.begin(session_of(world, config, sequence))
+        keeper = config.storage.build(Parts(camera, world, config.seed), writer, number)
+        yield OpenedMap(world, keeper, file.path, earlier)
     except BaseException:
         writer.abandon()
         if file.use is MapUse.NEW and len(world.keyframes) == 0:
@@ -141,11 +140,11 @@ def _loaded(path: Path, config: SlamConfig) -> StoredMap:
     return stored
 
 
-def _require_camera(path: Path, made_with: Camera, dataset: Dataset) -> None:
-    if made_with != dataset.camera:
+def _require_camera(path: Path, made_with: Camera, camera: Camera, sequence: str) -> None:
+    if made_with != camera:
         raise MapError(
-            f"{path}: was made with another camera ({_described(made_with)}) than that of {dataset.name} "
-            f"({_described(dataset.camera)}); one map holds one camera's keyframes; --localize works with any"
+            f"{path}: was made with another camera ({_described(made_with)}) than that of {sequence} "
+            f"({_described(camera)}); one map holds one camera's keyframes; --localize works with any"
         )
 
 
@@ -153,14 +152,22 @@ def _described(camera: Camera) -> str:
     return f"{camera.width}×{camera.height}, fx {camera.fx:g}, fy {camera.fy:g}, cx {camera.cx:g}, cy {camera.cy:g}"
 
 
-def _session(world: Map, config: SlamConfig, dataset: Dataset) -> Session:
+def session_of(world: Map, config: SlamConfig, sequence: str, first_keyframe: int | None = None) -> Session:
+    """Return what a map file says of a run.
+
+    Args:
+        world: The map.
+        config: The method.
+        sequence: What its images are called.
+        first_keyframe: Id of the run's first keyframe; the next one where the run only begins.
+    """
     origin, vocabulary = provenance(), config.places.vocabulary
     return Session(
-        first_keyframe=len(world.keyframes),
+        first_keyframe=len(world.keyframes) if first_keyframe is None else first_keyframe,
         started=origin["date"],
         stillroom=origin["versions"]["stillroom"],
         source_commit=origin["commit"],
-        sequence=dataset.name,
+        sequence=sequence,
         method=config.method,
         seed=config.seed,
         vocabulary="" if vocabulary is None else vocabulary.name,

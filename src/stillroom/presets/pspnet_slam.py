@@ -12,7 +12,7 @@ from stillroom.dense.dense_mapper import DenseMapperConfig
 from stillroom.dynamics.homography.homography_sieve import CompensatedHomographyConfig
 from stillroom.dynamics.masked_keypoints import MaskedKeypointsConfig
 from stillroom.dynamics.segment_sieve import MovedSegmentsConfig
-from stillroom.methods.method import Method
+from stillroom.presets.method import Method
 from stillroom.semantics.depth_clusters import DepthClustersConfig
 from stillroom.semantics.masks.pspnet import PspNetConfig
 from stillroom.tracking.low_cost import LowCostConfig

@@ -3,8 +3,8 @@
 from dataclasses import replace
 
 from stillroom.dynamics.multiview.multiview_sieve import MultiViewConfig
-from stillroom.methods import dynaslam
-from stillroom.methods.method import Method
+from stillroom.presets import dynaslam
+from stillroom.presets.method import Method
 from stillroom.tracking.low_cost import NoLowCostConfig
 
 METHOD = Method(

@@ -20,9 +20,9 @@ from stillroom.dynamics.multiview.multiview_sieve import MultiViewConfig
 from stillroom.dynamics.paper_epipolar import PaperEpipolarConfig
 from stillroom.dynamics.segment_sieve import MovedSegmentsConfig
 from stillroom.errors import ConfigError
-from stillroom.methods import registry
-from stillroom.methods.method import Method
-from stillroom.methods.registry import all_methods, configure, method
+from stillroom.presets import registry
+from stillroom.presets.method import Method
+from stillroom.presets.registry import all_methods, configure, method
 from stillroom.semantics.depth_clusters import DepthClustersConfig, NoClustersConfig
 from stillroom.semantics.no_segmenter import NothingConfig
 from stillroom.semantics.yolo_fastest import YoloFastestConfig

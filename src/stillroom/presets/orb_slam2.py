@@ -1,7 +1,7 @@
 """ORB-SLAM2's RGB-D system: it believes the world to be static. The baseline of the others."""
 
 from stillroom.config import SlamConfig
-from stillroom.methods.method import Method
+from stillroom.presets.method import Method
 
 METHOD = Method(
     name="orb-slam2",

@@ -1,0 +1,265 @@
+"""The front door: a method at work on one camera's images, from Python as from the command line."""
+
+import weakref
+from collections.abc import Iterable
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+
+from stillroom.config import SlamConfig, with_overrides
+from stillroom.data.dense_cloud import DenseCloud
+from stillroom.data.image import RgbdImage
+from stillroom.data.map import Map
+from stillroom.data.result import FrameResult, Tracked
+from stillroom.data.semantics import Semantics
+from stillroom.data.trajectory import Trajectory
+from stillroom.errors import ConfigError, FrameError, MapError, StillroomError
+from stillroom.evaluation.timing import FRAME, StageClock
+from stillroom.geometry.camera import Camera
+from stillroom.presets.registry import configure
+from stillroom.protocols import RunObserver, Segmenter
+from stillroom.session import one_thread
+from stillroom.session.map_file import MapFile, MapUse, OpenedMap, opened_map, session_of
+from stillroom.storage.schema import FrameNote, StoredMap
+from stillroom.storage.writer import save_map
+from stillroom.system import System, build
+
+
+class Slam:
+    """An RGB-D SLAM system: images in, poses, moving pixels and maps out.
+
+    ::
+
+        with Slam("oc-slam", camera) as slam:
+            for image in images:
+                result = slam.process(image)
+        slam.trajectory().write_tum("trajectory.tum")
+
+    As a context it closes itself; what it has mapped can be asked for afterwards all the same. While any is open,
+    OpenCV and BLAS are held to one thread each; when the last one closes, they have their threads back. Several may be
+    open at a time, on one thread or on several: each gives what it gives alone.
+
+    Attributes:
+        config: All that the method was set to.
+        camera: The calibration of the images.
+        clock: What the stages cost.
+        system: The stages themselves, and the map that they share.
+    """
+
+    def __init__(
+        self,
+        method: str | SlamConfig,
+        camera: Camera,
+        *,
+        seed: int | None = None,
+        settings: Iterable[str] = (),
+        map: str | Path | None = None,
+        map_use: MapUse | str = MapUse.NEW,
+        segmenter: Segmenter | None = None,
+        observers: Iterable[RunObserver] = (),
+        sequence: str = "images from Python",
+    ) -> None:
+        """Make a system ready for its first image.
+
+        Args:
+            method: A method's name (`stillroom methods` lists them), or a whole configuration.
+            camera: The calibration of the images to come.
+            seed: Where every random choice starts; 0, or the configuration's, where not given.
+            settings: Single values of the configuration, such as "tracking.min_inliers=20".
+            map: A map file: written as the map grows, unless `map_use` says otherwise.
+            map_use: "new" makes the file; "continue" begins by recognising the place and goes on in the map; "localize"
+                tracks against the map as it is and writes nothing.
+            segmenter: Says what may move, in the place of the method's own.
+            observers: Told of each frame after it was tracked.
+            sequence: What the images are called, in a map file and in messages.
+
+        Raises:
+            ConfigError: A method, a key or a value is wrong.
+            WeightsError: A network's weights are absent.
+            MapError: The map file cannot be used so, or does not fit.
+        """
+        file = None if map is None else MapFile(Path(map), _map_use(map_use))
+        if file is None and _map_use(map_use) is not MapUse.NEW:
+            raise ConfigError(f"map_use is '{map_use}', which needs a map: name its file")
+        config = _configured(method, settings, seed)
+        self.config = config if file is None else file.fitting(config)
+        self.camera, self.clock = camera, StageClock()
+        self._sequence, self._observers, self._newest = sequence, list(observers), _Newest()
+        self._n_given, self._last_s, self._is_open = 0, -np.inf, True
+        with ExitStack() as opening:
+            self._opened: OpenedMap = opening.enter_context(opened_map(file, self.config, camera, sequence))
+            self.system: System = build(
+                self.config,
+                camera,
+                segmenter,
+                observer=self._newest,
+                clock=self.clock,
+                world=self._opened.world,
+                keeper=self._opened.keeper,
+            )
+            opening.callback(weakref.finalize(self, one_thread.hold()))  # let go with the object at the latest
+            self._opening = opening.pop_all()
+
+    def observe(self, observer: RunObserver) -> None:
+        """Tell somebody of each frame from now on; what that costs is not counted as the frame's."""
+        self._observers.append(observer)
+
+    def process(self, image: RgbdImage) -> FrameResult:
+        """Track one image.
+
+        Args:
+            image: The next one in order of time.
+
+        Returns:
+            The pose as known now, what moves, and how tracking stands.
+
+        Raises:
+            FrameError: Colours or depth are of another size or type than they must be, or the time does not increase;
+                the image is left out, and the next one may come.
+            StillroomError: The system is closed already.
+        """
+        if not self._is_open:
+            raise StillroomError("this Slam is closed; make another one for more images")
+        self._require(image)
+        if image.index < 0:
+            image = replace(image, index=self._n_given)
+        self._n_given, self._last_s = self._n_given + 1, image.timestamp_s
+        with self.clock.stage(FRAME):
+            result = self.system.process(image)
+        self.clock.next_frame(image.index)
+        self._newest.show(self._observers)
+        return result
+
+    def close(self) -> None:
+        """Finish the work that is under way, let the map come to rest, and complete the map file.
+
+        Raises:
+            MapError: The map file cannot be completed; what was committed is in it.
+        """
+        if not self._is_open:
+            return
+        self._is_open = False
+        with self._opening:
+            self._finish()
+            if self._opened.keeper is not None:
+                self._opened.keeper.close()
+
+    def __enter__(self) -> "Slam":
+        """Return itself."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        """Close; after an error, a map file stays as the last keyframe's commit left it."""
+        if error is None:
+            self.close()
+        elif self._is_open:
+            self._is_open = False
+            try:
+                self._finish()
+            finally:
+                self._opening.__exit__(kind, error, traceback)
+
+    @property
+    def map(self) -> Map:
+        """The sparse map: keyframes, points, and how they hang together."""
+        return self.system.map
+
+    @property
+    def map_file(self) -> Path | None:
+        """The map file that is written; None where none is."""
+        return self._opened.written
+
+    def trajectory(self) -> Trajectory:
+        """Return the final poses, `T_world_cam`, of the images that were tracked; see `System.trajectory`."""
+        return self.system.trajectory()
+
+    def dense_cloud(self) -> DenseCloud:
+        """Return the dense map as coloured, oriented points, without what moves.
+
+        Raises:
+            MapError: The method makes no dense map.
+        """
+        self.system.dense_mapper.refresh()
+        cloud = self.system.dense_mapper.cloud()
+        if cloud is None:
+            raise MapError(f"{self.config.method} makes no dense map here; the setting 'dense.kind=voxels' makes one")
+        return cloud
+
+    def save_map(self, path: str | Path) -> None:
+        """Write the sparse map into a new file, to go on in it or to localize against it another day.
+
+        Raises:
+            MapError: There is such a file already, it cannot be written, or there is no keyframe to write.
+        """
+        if len(self.map.alive_keyframes()) == 0:
+            raise MapError(f"{path}: there is no keyframe yet, so there is no map to save")
+        system, earlier = self.system, self._opened.earlier or StoredMap(self.map, self.camera)
+        session = session_of(self.map, self.config, self._sequence, system.first_keyframe)
+        notes = [FrameNote.of(result, len(earlier.sessions)) for result in system.results]
+        frames = (*earlier.frames, *(note for note in notes if note is not None))
+        save_map(Path(path), StoredMap(self.map, earlier.camera, (*earlier.sessions, session), frames))
+
+    def _finish(self) -> None:
+        with self.clock.stage(FRAME):
+            self.system.close()
+        self.clock.conclude()
+
+    def _require(self, image: RgbdImage) -> None:
+        """Refuse an image that is not what the camera takes.
+
+        Raises:
+            FrameError: Saying what is wrong with it.
+        """
+        size, where = (self.camera.height, self.camera.width), f"image {self._n_given}"
+        if image.rgb.dtype != np.uint8 or image.rgb.shape != (*size, 3):
+            raise FrameError(
+                f"{where}: rgb is {image.rgb.dtype} {image.rgb.shape}; the camera's images are uint8 {(*size, 3)}"
+            )
+        if image.depth_m.dtype != np.float32 or image.depth_m.shape != size:
+            hint = f": divide a sensor's units by {self.camera.depth_factor:g}, as float32"
+            raise FrameError(
+                f"{where}: depth_m is {image.depth_m.dtype} {image.depth_m.shape}; it must be float32 {size} in metres"
+                + (hint if image.depth_m.dtype.kind in "iu" else "")
+            )
+        if not np.isfinite(image.timestamp_s):
+            raise FrameError(f"{where}: its time is {image.timestamp_s}; give it in seconds")
+        if image.timestamp_s <= self._last_s:
+            raise FrameError(
+                f"{where}: its time, {image.timestamp_s} s, is not after {self._last_s} s, that of the image before it"
+            )
+
+
+class _Newest:
+    """Keeps the newest frame until its time is taken, so that who looks on costs the frame nothing."""
+
+    def __init__(self) -> None:
+        self._seen: tuple[Tracked, Semantics, FrameResult] | None = None
+
+    def on_frame(self, tracked: Tracked, semantics: Semantics, result: FrameResult) -> None:
+        self._seen = (tracked, semantics, result)
+
+    def show(self, observers: Iterable[RunObserver]) -> None:
+        """Let them look at it."""
+        if self._seen is not None:
+            for observer in observers:
+                observer.on_frame(*self._seen)
+        self._seen = None
+
+
+def _configured(method: str | SlamConfig, settings: Iterable[str], seed: int | None) -> SlamConfig:
+    if isinstance(method, str):
+        return configure(method, overrides=settings, seed=seed)
+    config = with_overrides(method, settings)
+    return config if seed is None else replace(config, seed=seed)
+
+
+def _map_use(asked: MapUse | str) -> MapUse:
+    try:
+        return MapUse(asked)
+    except ValueError:
+        raise ConfigError(f"map_use is '{asked}'; it must be one of {', '.join(MapUse)}") from None

@@ -25,8 +25,7 @@ from stillroom.methods.registry import OWN, method
 from stillroom.pipeline.plots import draw_maps
 from stillroom.semantics.truth import TrueSemanticsConfig
 from stillroom.system import build
-from stillroom.warmup import all_kernels as kernels
-from stillroom.warmup import warm_up
+from stillroom.warmup import kernels, warm_up
 
 BASELINE = method("orb-slam2").config
 THOROUGH = "oc-slam"

@@ -43,9 +43,10 @@ LEVELS = {
     "bench": 10,
     "cli": 11,
 }
-FREE_TO_ALL = {"bounds", "errors", "__init__"}
-FRONT_DOOR = "__init__", 2
-"""The root says where numba keeps its machine code, and so may look into rooms below this level."""
+FREE_TO_ALL = {"bounds", "compiled", "errors", "version", "__init__"}
+LOOKS_BELOW = {"compiled": 2}
+"""What is free to all looks into no room, but for these, which may look into rooms below this level: machine code is
+kept in the cache folder, of which `data` knows."""
 ROOT_ATTRIBUTES = {"__version__"}
 """What the root of a package offers beside its rooms."""
 
@@ -53,6 +54,8 @@ MAX_FILE_LINES = 450
 MAX_FUNCTION_LINES = 60
 BANNED_NAMES = {"utils", "helpers", "common", "misc"}
 HEAVY = {"onnxruntime", "onnx", "rerun", "torch", "matplotlib", "rosbags", "pyrealsense2"}
+DECORATORS = {"jit", "njit", "vectorize", "guvectorize", "stencil", "cfunc"}
+KERNELS_ARE_DECORATED_IN = "stillroom/compiled.py"
 PRINTING_ROOMS = {"cli"}
 PRINTS_AND_EXITS = {"print", "exit", "quit", "sys.exit"}
 BROAD = {"Exception", "BaseException"}
@@ -187,7 +190,7 @@ def imports_of_rooms_that_are_not_lower(source: Path) -> list[str]:
         if levels is None or found.package != module.package or found.room == module.room or found.room not in levels:
             continue
         # Below every room stands what is free to all; a room without a level is a violation of its own.
-        own = dict([FRONT_DOOR]).get(module.room, -1) if module.room in FREE_TO_ALL else levels.get(module.room)
+        own = LOOKS_BELOW.get(module.room, -1) if module.room in FREE_TO_ALL else levels.get(module.room)
         if own is not None and levels[found.room] >= own:
             violations.append(
                 f"{module.path}:{found.line}: {module.room} ({own}) imports {found.room} ({levels[found.room]})"
@@ -266,6 +269,23 @@ def heavy_imports_at_the_top(source: Path) -> list[str]:
     )
 
 
+def kernels_cached_elsewhere(source: Path) -> list[str]:
+    """Return what decorates with numba itself: its machine code would lie beside the sources, or nowhere."""
+    named = [
+        f"{module.path}:{found.line}: numba's {found.member} instead of stillroom.compiled's"
+        for module in modules(source)
+        for found in module.imports
+        if found.package == "numba" and found.member in DECORATORS
+    ]
+    return named + [
+        f"{module.path}:{node.lineno}: numba's {node.attr} instead of stillroom.compiled's"
+        for module in modules(source)
+        if module.path != KERNELS_ARE_DECORATED_IN
+        for node in module.nodes
+        if isinstance(node, ast.Attribute) and node.attr in DECORATORS and ast.unparse(node.value) == "numba"
+    ]
+
+
 def prints_and_exits(source: Path) -> list[str]:
     return [
         f"{module.path}:{node.lineno}: {ast.unparse(node.func)}() outside the command line"
@@ -332,6 +352,7 @@ RULES: list[Rule] = [
     relative_imports,
     import_cycles,
     heavy_imports_at_the_top,
+    kernels_cached_elsewhere,
     prints_and_exits,
     swallowed_exceptions,
     long_files,
@@ -397,6 +418,11 @@ FAULTS: dict[str, tuple[Rule, dict[str, str], str]] = {
         {"stillroom/tracking/pose.py": "import stillroom.mapping.map\n"},
         "stillroom/tracking/pose.py:1: tracking (4) imports mapping (4)",
     ),
+    "import of a room that is too high by what may look below": (
+        imports_of_rooms_that_are_not_lower,
+        {"stillroom/compiled.py": "from stillroom.features import orb\n"},
+        "stillroom/compiled.py:1: compiled (2) imports features (3)",
+    ),
     "import of a room by what is free to all": (
         imports_of_rooms_that_are_not_lower,
         {"stillroom/errors.py": "from stillroom.geometry import rays\n"},
@@ -454,6 +480,16 @@ FAULTS: dict[str, tuple[Rule, dict[str, str], str]] = {
         heavy_imports_at_the_top,
         {"stillroom_train/losses.py": "try:\n    class A:\n        from torch import nn\nfinally:\n    pass\n"},
         "stillroom_train/losses.py:3: imports torch at the top",
+    ),
+    "numba's decorator": (
+        kernels_cached_elsewhere,
+        {"stillroom/geometry/rays.py": "from numba import njit, types\n"},
+        "stillroom/geometry/rays.py:1: numba's njit instead of stillroom.compiled's",
+    ),
+    "numba's decorator by its module": (
+        kernels_cached_elsewhere,
+        {"stillroom_scenes/rooms.py": "import numba\n@numba.njit(cache=True)\ndef f():\n    pass\n"},
+        "stillroom_scenes/rooms.py:2: numba's njit instead of stillroom.compiled's",
     ),
     "print": (
         prints_and_exits,
@@ -531,6 +567,7 @@ FINE = {
     "stillroom/__init__.py": '__version__ = "1"\n',
     "stillroom/errors.py": "from stillroom import __version__\n",
     "stillroom/geometry/rays.py": "from stillroom.errors import StillroomError\n",
+    "stillroom/compiled.py": "import numba\nfrom stillroom.data.frame import ray\nnjit = numba.njit\n",
     "stillroom/data/__init__.py": "",
     "stillroom/data/frame.py": "from stillroom.data import map\nfrom stillroom.geometry.rays import ray\n",
     "stillroom/data/map.py": "\n" * (450 - 60) + long_function(60),

@@ -16,6 +16,6 @@ process.
 
 import lazy_loader
 
-__version__ = "0.1.0"
+from stillroom.version import __version__ as __version__
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -8,8 +8,8 @@ exact at each pixel centre: nothing is clipped, subdivided or approximated.
 import math
 
 import numpy as np
-from numba import njit
 
+from stillroom.compiled import njit
 from stillroom.geometry.arrays import F32, F64, I32, I64, U8, Bool
 
 NEAR_M = 0.05

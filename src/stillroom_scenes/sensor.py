@@ -1,9 +1,9 @@
 """What a Kinect-like sensor makes of perfect colours and depths; and the numbers it draws from."""
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from stillroom.compiled import njit
 from stillroom.geometry.arrays import F32, I64, U8, U16
 
 COLOUR_SIGMA = 2.2

@@ -4,9 +4,9 @@ import math
 from typing import TypeAlias
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from stillroom.compiled import njit
 from stillroom.geometry.arrays import F64, I32, I64, U8
 from stillroom_scenes.raster import NOTHING
 

@@ -4,7 +4,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from stillroom import __version__
 from stillroom.data.map import Map
 from stillroom.errors import FrameError, VocabularyError
 from stillroom.features.orb import OrbConfig
@@ -12,6 +11,7 @@ from stillroom.features.places.growth import GrowthConfig, grow, one_word
 from stillroom.features.places.vocabulary import Vocabulary
 from stillroom.geometry.arrays import U8
 from stillroom.protocols import Dataset, Parts
+from stillroom.version import __version__
 
 CARD = ".txt"
 """What is added to a vocabulary's file name for its card."""

@@ -11,21 +11,15 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from stillroom import __version__
 from stillroom.cli import warmup as command
+from stillroom.compiled import kernel_cache
 from stillroom.warmup import is_warm, kernels, warm_up
+from stillroom.warmup.all_kernels import leave_stamps
 
-ONE_KERNEL = """
-import numpy as np
-from stillroom.features.matching import _sort_into_cells as kernel
-kernel(np.zeros((3, 2), np.float32), np.zeros(2, np.float32), np.array([4, 4], np.int32))
-print(sum(kernel.stats.cache_hits.values()), sum(kernel.stats.cache_misses.values()), kernel.stats.cache_path)
-"""
 COLD = """
 import importlib, pkgutil
 import stillroom, stillroom_scenes
-from stillroom.warmup import warm_up
-from stillroom.warmup import kernels
+from stillroom.warmup import kernels, warm_up
 done = warm_up(renderer=True)
 for package in (stillroom, stillroom_scenes):
     for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
@@ -43,27 +37,6 @@ def answer(code: str, **variables: str) -> list[str]:
     environment = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"} | variables
     done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
     return done.stdout.split()
-
-
-def test_kernels_are_kept_in_the_users_cache(tmp_path: Path) -> None:
-    first = answer(ONE_KERNEL, XDG_CACHE_HOME=str(tmp_path))
-    assert first[:2] == ["0", "1"]
-    home = tmp_path / "stillroom" / "numba" / __version__
-    assert Path(first[2]).parent == home
-    assert list(home.rglob("*.nbc"))
-    second = answer(ONE_KERNEL, XDG_CACHE_HOME=str(tmp_path))
-    assert second[:2] == ["1", "0"]
-
-
-def test_a_cache_folder_of_the_users_own_is_kept_to(tmp_path: Path) -> None:
-    place = answer(ONE_KERNEL, XDG_CACHE_HOME=str(tmp_path / "cache"), NUMBA_CACHE_DIR=str(tmp_path / "own"))[2]
-    assert Path(place).parent == tmp_path / "own"
-    assert not (tmp_path / "cache").exists()
-
-
-def test_a_relative_cache_home_is_ignored_as_the_xdg_rule_says() -> None:
-    code = "import stillroom, os; print(os.environ['NUMBA_CACHE_DIR'])"
-    assert Path(answer(code, XDG_CACHE_HOME="cache", HOME="/home/of/someone")[0]).is_relative_to("/home/of/someone")
 
 
 @pytest.fixture(scope="module")
@@ -112,7 +85,24 @@ def test_the_command_says_where_the_cache_is() -> None:
     assert result.exit_code == 0, result.output
     lines = result.output.splitlines()
     assert "kernels ready in" in lines[-2]
-    assert lines[-1] == f"kept in {os.environ['NUMBA_CACHE_DIR']}"
+    assert lines[-1] == f"kept in {kernel_cache()}"
+
+
+def test_where_kernels_cannot_be_kept_no_stamp_says_that_they_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").touch()
+    folder = tmp_path / "file" / "numba"
+    monkeypatch.setattr("numba.config.CACHE_DIR", str(folder))
+    leave_stamps(renderer=True)
+    assert not is_warm()
+    # Another's kernels lie there, of which one folder may not be written.
+    monkeypatch.setattr("numba.config.CACHE_DIR", str(tmp_path))
+    (tmp_path / "features").mkdir()
+    monkeypatch.setattr("os.access", lambda path, _: Path(path).name != "features")
+    leave_stamps(renderer=True)
+    assert not is_warm()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["features", "file"]
 
 
 @pytest.mark.slow

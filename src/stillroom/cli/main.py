@@ -174,9 +174,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def _print_version(asked: bool) -> None:
     if asked:
-        import stillroom
+        from stillroom.version import __version__
 
-        typer.echo(f"stillroom {stillroom.__version__}")
+        typer.echo(f"stillroom {__version__}")
         raise typer.Exit
 
 

@@ -4,7 +4,8 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from stillroom.cli.output import STDERR, print_lines
-from stillroom.warmup import WarmUp, is_warm, kernel_cache, warm_up
+from stillroom.compiled import is_kept, kernel_cache
+from stillroom.warmup import WarmUp, is_warm, warm_up
 
 
 def warmup() -> None:
@@ -17,7 +18,7 @@ def warmup() -> None:
     print_lines(
         [
             f"{done.n_kernels} kernels ready in {done.seconds:.1f} s, {origin}",
-            f"kept in {kernel_cache() or 'the folders of the sources, __pycache__'}",
+            f"kept in {kernel_cache()}" if is_kept() else "not kept: the cache folder cannot be written",
         ]
     )
 

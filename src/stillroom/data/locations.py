@@ -7,27 +7,45 @@ bare name likewise, in `STILLROOM_DATA` and in `data` of the cache. The cache is
 """
 
 import os
+from contextlib import suppress
 from pathlib import Path
 
 from platformdirs import user_cache_path
+
+from stillroom.errors import ConfigError
 
 MODELS, DATA = "models", "data"
 VARIABLES = {MODELS: "STILLROOM_MODELS", DATA: "STILLROOM_DATA"}
 
 
 def cache_folder() -> Path:
-    """Return the folder for what can be fetched or made again; it need not exist yet."""
-    return user_cache_path("stillroom", appauthor=False)
+    """Return the folder for what can be fetched or made again; it need not exist yet.
+
+    Raises:
+        ConfigError: The user has no home folder, as in a container under a number that the system does not know.
+    """
+    try:
+        return user_cache_path("stillroom", appauthor=False)
+    except RuntimeError as error:
+        raise ConfigError("there is no home folder for the cache; name one by HOME or XDG_CACHE_HOME") from error
 
 
 def models_home() -> Path:
-    """Return the folder into which models are downloaded: `STILLROOM_MODELS`, else the cache."""
-    return model_folders()[0]
+    """Return the folder into which models are downloaded: `STILLROOM_MODELS`, else the cache.
+
+    Raises:
+        ConfigError: Neither is there.
+    """
+    return (model_folders() or [cache_folder() / MODELS])[0]
 
 
 def data_home() -> Path:
-    """Return the folder into which sequences are downloaded: `STILLROOM_DATA`, else the cache."""
-    return data_folders()[0]
+    """Return the folder into which sequences are downloaded: `STILLROOM_DATA`, else the cache.
+
+    Raises:
+        ConfigError: Neither is there.
+    """
+    return (data_folders() or [cache_folder() / DATA])[0]
 
 
 def model_folders() -> list[Path]:
@@ -52,7 +70,10 @@ def sequence_path(name: str) -> Path | None:
 
 def _roots(kind: str) -> list[Path]:
     named = os.environ.get(VARIABLES[kind])
-    return list(dict.fromkeys((*([Path(named)] if named else []), cache_folder() / kind)))
+    roots = [Path(named)] if named else []
+    with suppress(ConfigError):  # nothing can lie in the cache of a user without a home
+        roots.append(cache_folder() / kind)
+    return list(dict.fromkeys(roots))
 
 
 def _first_existing(kind: str, name: str) -> Path | None:

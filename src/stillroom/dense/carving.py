@@ -4,10 +4,10 @@ from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
-from numba import njit
 from scipy.spatial import cKDTree
 
 from stillroom.bounds import bounded
+from stillroom.compiled import njit
 from stillroom.data.image import RgbdImage
 from stillroom.data.map import Map
 from stillroom.dense.keyframe_cloud import UNIT_M, SurfaceConfig, in_units

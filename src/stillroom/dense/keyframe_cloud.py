@@ -4,10 +4,10 @@ from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from stillroom.bounds import bounded
+from stillroom.compiled import njit
 from stillroom.data.image import RgbdImage
 from stillroom.geometry.arrays import F32, U8, U16, Bool
 from stillroom.geometry.camera import Camera

@@ -3,8 +3,8 @@
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numba import njit
 
+from stillroom.compiled import njit
 from stillroom.data.clusters import UNKNOWN, Clusters
 from stillroom.data.frame import Frame
 from stillroom.geometry import se3

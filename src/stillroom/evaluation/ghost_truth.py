@@ -3,8 +3,8 @@
 from dataclasses import dataclass, field
 
 import numpy as np
-from numba import njit
 
+from stillroom.compiled import njit
 from stillroom.evaluation.ghosts import GhostFigure, SurfaceFigure, distances_m
 from stillroom.evaluation.trajectory_errors import Statistics
 from stillroom.geometry.arrays import F64, Bool, Floats

@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from stillroom.compiled import njit
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F32, F64, I32, Floats
 from stillroom.geometry.camera import Camera, Lens

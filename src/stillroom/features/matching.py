@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from stillroom.compiled import njit
 from stillroom.geometry.arrays import F32, F64, I32, U8, U64, Bool, Floats, Ints
 from stillroom.geometry.hamming import hamming, words
 

@@ -6,9 +6,9 @@ from operator import attrgetter
 
 import cv2
 import numpy as np
-from numba import njit
 
 from stillroom.bounds import bounded
+from stillroom.compiled import njit
 from stillroom.data.frame import Frame, Keypoints, ScaleLevels
 from stillroom.data.image import RgbdImage
 from stillroom.geometry.arrays import F32, F64, I32, I64, U8, Bool, Floats

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from stillroom.compiled import njit
 from stillroom.data.map import Map
 from stillroom.features.matching import FAR_BITS, Queries, Targets, search_windows
 from stillroom.geometry.arrays import F32, F64, I32, Bool

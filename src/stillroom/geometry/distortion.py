@@ -1,7 +1,6 @@
 """Brown–Conrady distortion as kernels call it."""
 
-from numba import njit
-
+from stillroom.compiled import njit
 from stillroom.geometry.camera import brown_conrady
 
 distorted = njit(nogil=True, cache=True)(brown_conrady)

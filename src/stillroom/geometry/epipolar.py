@@ -1,8 +1,8 @@
 """Two views of a static point: the epipolar constraint."""
 
 import numpy as np
-from numba import njit
 
+from stillroom.compiled import njit
 from stillroom.geometry.arrays import F64, I32, Floats
 from stillroom.geometry.camera import Lens
 

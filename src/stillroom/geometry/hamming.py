@@ -3,9 +3,10 @@
 from typing import Any
 
 import numpy as np
-from numba import njit, types
+from numba import types
 from numba.extending import intrinsic
 
+from stillroom.compiled import njit
 from stillroom.geometry.arrays import U8, U64
 
 

@@ -3,9 +3,9 @@
 from dataclasses import dataclass, field
 
 import cv2
-import numba
 import numpy as np
 
+from stillroom.compiled import njit
 from stillroom.geometry.arrays import F64, U8, Bool, Floats
 from stillroom.geometry.robust import find_homography, usac
 
@@ -190,7 +190,7 @@ def _levenberg_marquardt(H: F64, a: F64, b: F64, weights: F64, iterations: int) 
     return H
 
 
-@numba.njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True)
 def linearize(H: F64, G: F64, a: F64, b: F64, weights: F64, normal: F64, gradient: F64) -> float:
     """Write the normal equations of the nine elements of H, `normal` (9, 9) and `gradient` (9,); return the error.
 

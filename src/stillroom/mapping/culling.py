@@ -1,8 +1,8 @@
 """What leaves the map again: points that did not prove themselves, keyframes that add nothing."""
 
 import numpy as np
-from numba import njit
 
+from stillroom.compiled import njit
 from stillroom.data.map import Map
 from stillroom.data.map.links import Links
 from stillroom.geometry.arrays import F32, I32, Bool

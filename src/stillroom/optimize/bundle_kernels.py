@@ -7,9 +7,9 @@ Shapes: K keyframes of which F are free, P points, O observations. `starts` (P +
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
+from stillroom.compiled import njit
 from stillroom.geometry.arrays import F64, I64, Bool
 from stillroom.optimize.observations import (
     MIN_DEPTH_M,
@@ -73,7 +73,7 @@ class Blocks(NamedTuple):
     W: F64
 
 
-@numba.njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True)
 def evaluate(T: F64, points: F64, seen: Observations, deltas2: tuple[float, float], chi2: F64) -> float:
     """Write χ² (O,) of every observation; return the robust cost Σpρ of the active ones."""
     starts, _, keyframes, observed, weights, p_static, is_active, intrinsics = seen
@@ -90,7 +90,7 @@ def evaluate(T: F64, points: F64, seen: Observations, deltas2: tuple[float, floa
     return cost
 
 
-@numba.njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True)
 def mixed_block(R: F64, x: float, y: float, z: float, information: tuple[float, ...], block: F64) -> None:
     """Write GᵀJᵀWJR, transposed, into `block` (3, 6): with B = JᵀWJ R it is [B; [x]× B], column by column."""
     a00, a01, a02, a11, a12, a22 = information[:6]
@@ -104,7 +104,7 @@ def mixed_block(R: F64, x: float, y: float, z: float, information: tuple[float, 
         block[k, 5] = x * m1 - y * m0
 
 
-@numba.njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True)
 def point_block(R: F64, information: tuple[float, ...], block: F64) -> None:
     """Write the first three columns of `mixed_block` only: JᵀWJ R, transposed."""
     a00, a01, a02, a11, a12, a22 = information[:6]
@@ -114,7 +114,7 @@ def point_block(R: F64, information: tuple[float, ...], block: F64) -> None:
         block[k, 2] = a02 * R[0, k] + a12 * R[1, k] + a22 * R[2, k]
 
 
-@numba.njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True)
 def linearize(T: F64, points: F64, seen: Observations, deltas2: tuple[float, float], blocks: Blocks) -> None:
     """Write the normal equations' blocks, sums over the active observations."""
     starts, slots, keyframes, observed, weights, p_static, is_active, intrinsics = seen
@@ -158,7 +158,7 @@ def linearize(T: F64, points: F64, seen: Observations, deltas2: tuple[float, flo
         b_p[p, 0], b_p[p, 1], b_p[p, 2] = q0, q1, q2
 
 
-@numba.njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True)
 def factor_points(H_pp: F64, damping: float, L: F64) -> None:
     """Write Cholesky factors `L` (P, 6) of the damped point blocks as 1/l00 l10 1/l11 l20 l21 1/l22.
 
@@ -181,7 +181,7 @@ def factor_points(H_pp: F64, damping: float, L: F64) -> None:
             L[p] = 0.0
 
 
-@numba.njit(nogil=True, cache=True, inline="always")
+@njit(nogil=True, cache=True, inline="always")
 def add_product(Za: F64, Zb: F64, block: F64) -> None:
     """Add ZaᵀZb of two (3, 6) to a block (6, 6).
 
@@ -201,7 +201,7 @@ def add_product(Za: F64, Zb: F64, block: F64) -> None:
         block[a, 5] += a0 * b05 + a1 * b15 + a2 * b25
 
 
-@numba.njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True)
 def reduce_to_cameras(order: Order, blocks: Blocks, L: F64, damping: float, Z: F64, S: F64, rhs: F64) -> None:
     """Write the damped reduced system: `S` (F, 6, F, 6), lower block triangle, and `rhs` (F, 6); S ξ = rhs.
 
@@ -248,7 +248,7 @@ def reduce_to_cameras(order: Order, blocks: Blocks, L: F64, damping: float, Z: F
             S[f, a, f, a] += damping * H_cc[f, a, a] + DIAGONAL_FLOOR
 
 
-@numba.njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True)
 def move_points(points: F64, order: Order, blocks: Blocks, L: F64, xi: F64, moved: F64) -> None:
     """Write points − H_pp⁻¹ (b_p + Σ Wᵀξ) into `moved` (P, 3), given the cameras' step `xi` (F, 6)."""
     starts, slots = order
@@ -275,7 +275,7 @@ def move_points(points: F64, order: Order, blocks: Blocks, L: F64, xi: F64, move
         moved[p, 2] = points[p, 2] - s2 if finite else points[p, 2]
 
 
-@numba.njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True)
 def keep_in_front(
     T: F64,
     points: F64,
@@ -307,7 +307,7 @@ def keep_in_front(
                 moved[p, axis] = middle if attempt < 3 else points[p, axis]
 
 
-@numba.njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True)
 def move_cameras(T: F64, free: I64, xi: F64, moved: F64) -> None:
     """Write exp(ξ) T of the free keyframes (F,) into `moved` (K, 4, 4); the others stay as `moved` has them."""
     for f in range(free.shape[0]):

@@ -8,9 +8,9 @@ projection. The kernels are scalars in, scalars out: numba inlines them into the
 
 import math
 
-import numba
 import numpy as np
 
+from stillroom.compiled import njit
 from stillroom.geometry.arrays import F64, Floats, Ints
 from stillroom.geometry.camera import Camera
 
@@ -43,7 +43,7 @@ def intrinsics_of(camera: Camera) -> F64:
     return np.array([camera.fx, camera.fy, camera.cx, camera.cy, camera.bf])
 
 
-@numba.njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True)
 def to_camera(T: F64, X: float, Y: float, Z: float) -> tuple[float, float, float]:
     """Take one world point [m] to the camera frame [m] of `T` = T_cam_world (4, 4)."""
     x = T[0, 0] * X + T[0, 1] * Y + T[0, 2] * Z + T[0, 3]
@@ -52,7 +52,7 @@ def to_camera(T: F64, X: float, Y: float, Z: float) -> tuple[float, float, float
     return x, y, z
 
 
-@numba.njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True)
 def residual(
     x: float, y: float, z: float, observed: F64, intrinsics: F64, has_right: bool
 ) -> tuple[float, float, float]:
@@ -67,7 +67,7 @@ def residual(
     return e_u, e_v, e_r
 
 
-@numba.njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True)
 def chi_square(x: float, y: float, z: float, observed: F64, weight: F64, intrinsics: F64) -> float:
     """Return the weighted squared error of one observation; infinite behind the camera or where a number is NaN."""
     if not z > MIN_DEPTH_M:
@@ -77,7 +77,7 @@ def chi_square(x: float, y: float, z: float, observed: F64, weight: F64, intrins
     return chi2 if chi2 < np.inf else np.inf
 
 
-@numba.njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True)
 def behind_chi_square(weight: F64, intrinsics: F64) -> float:
     """Return what an observation costs while its point is behind the camera: an error of 2 fx in every coordinate.
 
@@ -88,7 +88,7 @@ def behind_chi_square(weight: F64, intrinsics: F64) -> float:
     return cost
 
 
-@numba.njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True)
 def huber(chi2: float, delta2: float) -> tuple[float, float]:
     """Return Huber's ρ(χ²) and its derivative, the factor on the weights; δ² infinite means no kernel.
 
@@ -101,7 +101,7 @@ def huber(chi2: float, delta2: float) -> tuple[float, float]:
     return 2.0 * delta * chi - delta2, delta / chi
 
 
-@numba.njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True)
 def point_information(
     point: tuple[float, float, float],
     error: tuple[float, float, float],
@@ -144,7 +144,7 @@ def point_information(
     return a00, 0.0, a02, a11, a12, a22, g0, g1, g2
 
 
-@numba.njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True)
 def camera_blocks(x: float, y: float, z: float, information: tuple[float, ...], H: F64, b: F64) -> None:
     """Add GᵀJᵀWJG to the lower triangle of `H` (6, 6) and GᵀJᵀWe to `b` (6,), with G = [I, −[x]×]."""
     a00, a01, a02, a11, a12, a22, g0, g1, g2 = information
@@ -181,7 +181,7 @@ def camera_blocks(x: float, y: float, z: float, information: tuple[float, ...], 
     b[5] += x * g1 - y * g0
 
 
-@numba.njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True)
 def retract(T: F64, xi: F64, moved: F64) -> None:
     """Write exp(ξ) T into `moved` (4, 4); ξ (6,) is translation part [m], then rotation vector [rad].
 

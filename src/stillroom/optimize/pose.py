@@ -7,10 +7,10 @@ docs/reference.md#orb-slam2-tracking).
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from stillroom.bounds import bounded
+from stillroom.compiled import njit
 from stillroom.geometry.arrays import F64, Bool, Floats
 from stillroom.geometry.camera import Camera
 from stillroom.optimize.observations import (
@@ -49,7 +49,7 @@ class Seen(NamedTuple):
     intrinsics: F64
 
 
-@numba.njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True)
 def classify(T: F64, seen: Seen, limits: tuple[float, float], chi2: F64, is_inlier: Bool) -> int:
     """Write χ² (N,) and whether it is within its limit (N,); return how many verdicts changed.
 
@@ -72,7 +72,7 @@ def classify(T: F64, seen: Seen, limits: tuple[float, float], chi2: F64, is_inli
     return changed
 
 
-@numba.njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True)
 def linearize_pose(T: F64, seen: Seen, is_active: Bool, deltas2: tuple[float, float], H: F64, b: F64) -> float:
     """Write the normal equations of the pose, lower triangle of `H` (6, 6) and `b` (6,); return the robust cost Σpρ.
 
@@ -106,7 +106,7 @@ def linearize_pose(T: F64, seen: Seen, is_active: Bool, deltas2: tuple[float, fl
     return cost
 
 
-@numba.njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True)
 def damped_step(H: F64, b: F64, damping: float, T: F64, T_trial: F64) -> float:
     """Solve (H + λ diag H) ξ = −b by Cholesky and write exp(ξ) T into `T_trial` (4, 4); return |ξ|, −1 if it fails."""
     L = np.zeros((6, 6))
@@ -139,7 +139,7 @@ def damped_step(H: F64, b: F64, damping: float, T: F64, T_trial: F64) -> float:
     return norm
 
 
-@numba.njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True)
 def minimize_pose(
     T_start: F64, seen: Seen, is_active: Bool, iterations: int, deltas2: tuple[float, float]
 ) -> tuple[F64, bool]:

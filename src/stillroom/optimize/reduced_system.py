@@ -5,12 +5,12 @@ Both take the kernels' blocks (see `bundle_kernels`) and return the cameras' ste
 
 from typing import NamedTuple, Protocol
 
-import numba
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from scipy.sparse import bsr_matrix, csr_matrix, tril
 from scipy.sparse.linalg import splu
 
+from stillroom.compiled import njit
 from stillroom.geometry.arrays import F64, I32, I64
 from stillroom.optimize.bundle_kernels import DIAGONAL_FLOOR, Blocks, Order, reduce_to_cameras
 
@@ -106,7 +106,7 @@ def _scratch(starts: I64) -> F64:
     return np.empty((int(np.diff(starts).max(initial=0)), 3, 6))
 
 
-@numba.njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True)
 def find_block(row_start: I64, columns: I32, row: int, column: int) -> int:
     """Return where the block (row, column) lies; it must exist. Columns of a row are sorted."""
     low, high = row_start[row], row_start[row + 1] - 1
@@ -120,7 +120,7 @@ def find_block(row_start: I64, columns: I32, row: int, column: int) -> int:
     return found
 
 
-@numba.njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True)
 def reduce_sparsely(
     order: Order, blocks: Blocks, L: F64, damping: float, Z: F64, sparse: SparseBlocks, rhs: F64
 ) -> None:

@@ -9,7 +9,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-import stillroom
+from stillroom.version import __version__
 
 LIBRARIES = ("numpy", "scipy", "numba", "opencv-python-headless", "onnxruntime")
 
@@ -18,10 +18,10 @@ def provenance() -> dict[str, Any]:
     """Return what a reader needs to make a result again, as nested mappings."""
     return {
         "date": datetime.now().astimezone().isoformat(timespec="seconds"),
-        "commit": source_commit(Path(stillroom.__file__).parent),
+        "commit": source_commit(Path(__file__).parents[1]),
         "command": shlex.join(sys.argv),
         "versions": {
-            "stillroom": stillroom.__version__,
+            "stillroom": __version__,
             "python": platform.python_version(),
             **{name: _version(name) for name in LIBRARIES},
             "platform": platform.platform(),

@@ -16,6 +16,7 @@ import numba
 from numba.core import event
 from numba.core.registry import CPUDispatcher
 
+from stillroom.compiled import is_kept, kernel_cache
 from stillroom.warmup import work
 
 logger = logging.getLogger(__name__)
@@ -23,12 +24,7 @@ PACKAGES = "stillroom", "stillroom_scenes"
 """Whose kernels are counted: the core's, and the renderer's where a room is rendered."""
 
 
-# Where compiled kernels are kept, and a mark there that all of them are.
-
-
-def kernel_cache() -> Path | None:
-    """Return the folder in which numba keeps machine code; None where it does so beside the sources."""
-    return Path(numba.config.CACHE_DIR) if numba.config.CACHE_DIR else None
+# A mark, beside the compiled kernels, that all of them are there.
 
 
 def is_warm(renderer: bool = False) -> bool:
@@ -37,16 +33,20 @@ def is_warm(renderer: bool = False) -> bool:
     Args:
         renderer: Whether the synthetic room's kernels are asked for too.
     """
-    stamp = _stamp(renderer)
-    return stamp is not None and stamp.exists()
+    folder = kernel_cache()
+    try:
+        return folder is not None and (folder / _stamp(renderer)).exists()
+    except OSError:  # a folder that this user may not look into
+        return False
 
 
 def leave_stamps(renderer: bool) -> None:
-    """Note that a warm-up has been done; arguments as in `is_warm`."""
+    """Note that a warm-up has been done, if what it compiled is kept; arguments as in `is_warm`."""
+    folder = kernel_cache()
+    if folder is None or not is_kept():
+        return
     for which in {False, renderer}:
-        stamp = _stamp(which)
-        if stamp is None:
-            continue
+        stamp = folder / _stamp(which)
         try:
             stamp.parent.mkdir(parents=True, exist_ok=True)
             stamp.touch()
@@ -54,18 +54,15 @@ def leave_stamps(renderer: bool) -> None:
             logger.info("%s: cannot be written (%s); kernels are compiled again each time", stamp, error)
 
 
-def _stamp(renderer: bool) -> Path | None:
-    """Return the file whose presence says that this machine has compiled these sources."""
-    folder = kernel_cache()
-    if folder is None:
-        return None
+def _stamp(renderer: bool) -> str:
+    """Return the name of the file whose presence says that this machine has compiled these sources."""
     digest = hashlib.sha256()
     root = Path(__file__).parents[1]
     for package in PACKAGES:
         for path in sorted((root.parent / package).rglob("*.py")):
             digest.update(f"{path.relative_to(root.parent)}\n".encode() + path.read_bytes())
     digest.update(f"{root} {numba.__version__} {platform.python_version()} {llvm.get_host_cpu_name()}".encode())
-    return folder / f"warm-{digest.hexdigest()[:24]}{'-renderer' if renderer else ''}"
+    return f"warm-{digest.hexdigest()[:24]}{'-renderer' if renderer else ''}"
 
 
 class WarmUpProgress(Protocol):

@@ -3,8 +3,8 @@
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from stillroom.compiled import njit
 from stillroom.geometry.arrays import F32, F64, I32, I64, U64
 from stillroom.geometry.hamming import popcount64
 

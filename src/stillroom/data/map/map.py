@@ -3,8 +3,8 @@
 import threading
 
 import numpy as np
-from numba import njit
 
+from stillroom.compiled import njit
 from stillroom.data.frame import Frame, ScaleLevels
 from stillroom.data.map import links
 from stillroom.data.map.tables import KeyframeTable, KeypointTable, PointTable

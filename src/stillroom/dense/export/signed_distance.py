@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from numba import njit
 
+from stillroom.compiled import njit
 from stillroom.data.dense_cloud import DenseCloud
 from stillroom.errors import MapError
 from stillroom.geometry.arrays import F32, F64, I32, I64, U8, Bool

@@ -3,8 +3,8 @@
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from stillroom.compiled import njit
 from stillroom.dense.voxels.fusing_kernels import BLOCK, FINE, PLACE, SCORE, VOIDED_AT, WEIGHT
 from stillroom.dense.voxels.hash_kernels import AXIS_BITS, AXIS_MASK, HALF
 from stillroom.geometry.arrays import F32, F64, I32, I64, U8, U16, Bool

@@ -1,8 +1,8 @@
 """From voxels to a cloud: a surface that noise smeared over several voxels becomes one layer again."""
 
 import numpy as np
-from numba import njit
 
+from stillroom.compiled import njit
 from stillroom.data.dense_cloud import DenseCloud
 from stillroom.dense.voxels.evidence_kernels import mean_positions
 from stillroom.dense.voxels.fusing_kernels import COLOUR, FULL_WEIGHT, NORMAL, WEIGHT

@@ -7,8 +7,8 @@ corrections.
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from stillroom.compiled import njit
 from stillroom.dense.keyframe_cloud import I8
 from stillroom.dense.voxels.hash_kernels import EMPTY, find_slot, pack
 from stillroom.geometry.arrays import F32, F64, I32, I64, U8, U16

@@ -1,8 +1,8 @@
 """Where a voxel lies in the table: 64-bit keys, open addressing, linear probing."""
 
 import numpy as np
-from numba import njit
 
+from stillroom.compiled import njit
 from stillroom.geometry.arrays import F64, I32, I64
 
 AXIS_BITS = 21

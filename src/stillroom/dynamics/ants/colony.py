@@ -3,10 +3,10 @@
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from stillroom.bounds import bounded, check
+from stillroom.compiled import njit
 from stillroom.geometry.arrays import F64, I64
 
 PATHS = ("serpentine", "ants")
@@ -74,7 +74,7 @@ class Rules(NamedTuple):
     rho: float
 
 
-@numba.njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True)
 def let_walk(nodes_px: F64, ends: tuple[int, int], draws: F64, rules: Rules, pheromone: F64, best: I64) -> None:
     """Let the ants walk, round after round, and write the shortest path (n,) of all; arguments as `shortest_found`."""
     start, end = ends
@@ -100,7 +100,7 @@ def let_walk(nodes_px: F64, ends: tuple[int, int], draws: F64, rules: Rules, phe
         lay(tours, best_px / np.maximum(lengths_px, 1e-6), pheromone)
 
 
-@numba.njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True)
 def walk(attraction: F64, distance_px: F64, start: int, end: int, draws: F64, tours: I64, lengths_px: F64) -> None:
     """Let each ant go once from start to end, choosing by Eq. 12 among the nodes that it has not visited.
 
@@ -138,7 +138,7 @@ def walk(attraction: F64, distance_px: F64, start: int, end: int, draws: F64, to
             at = there
 
 
-@numba.njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True)
 def lay(tours: I64, amounts: F64, pheromone: F64) -> None:
     """Add to the pheromone (n, n) what each ant (m,) leaves on the pairs of nodes of its tour (m, n)."""
     for k in range(len(tours)):
@@ -238,7 +238,7 @@ def serpentine(cells: I64) -> I64:
     return np.lexsort((along, row_rank)).astype(np.int64)
 
 
-@numba.njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True)
 def add_to_cells(points_px: F64, cell_px: int, shift_px: F64, sums: F64, count: I64) -> None:
     """Add points (N, 2) to the sums (rows, columns, 2) and counts (rows, columns) of their cells."""
     for i in range(len(points_px)):

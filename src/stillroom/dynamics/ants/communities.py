@@ -2,16 +2,16 @@
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
+from stillroom.compiled import njit
 from stillroom.geometry.arrays import F64, I64, Bool
 
 NONE = -1
 """The community of a point that is in none."""
 
 
-@numba.njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True)
 def within(points_px: F64, hull_px: F64, margin_px: float, is_near: Bool) -> None:
     """Write which points (N, 2) lie in a convex hull (k, 2), or at most a margin beside it."""
     low_x, high_x = hull_px[:, 0].min() - margin_px, hull_px[:, 0].max() + margin_px
@@ -37,7 +37,7 @@ def within(points_px: F64, hull_px: F64, margin_px: float, is_near: Bool) -> Non
         is_near[i] = inside or nearest2 <= margin_px * margin_px
 
 
-@numba.njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True)
 def convex_hull(points_px: F64, is_member: Bool, hull_px: F64) -> int:
     """Write the corners of the convex hull of the members (N,) among points (N, 2); return their number.
 
@@ -65,7 +65,7 @@ def convex_hull(points_px: F64, is_member: Bool, hull_px: F64) -> int:
     return max(1, n)
 
 
-@numba.njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True)
 def from_left(points_px: F64, chosen: I64) -> I64:
     """Return chosen points (M,) of all (N, 2) ordered by x, and by y where x is the same."""
     by_y = chosen[np.argsort(points_px[chosen, 1], kind="mergesort")]
@@ -88,7 +88,7 @@ class KnownPoints(NamedTuple):
     is_open: Bool
 
 
-@numba.njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True)
 def widen(points_px: F64, rank: I64, grow_px: float, known: KnownPoints, untested: I64) -> int:
     """Grow all communities as far as what is known leads, and collect what must be tested to lead on.
 
@@ -139,7 +139,7 @@ def widen(points_px: F64, rank: I64, grow_px: float, known: KnownPoints, unteste
     return n_untested
 
 
-@numba.njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True)
 def _gather(points_px: F64, grow_px: float, number: I64, is_open: Bool, c: int, is_near: Bool, hull_px: F64) -> int:
     """Let community `c` take up all moving points (M, 2) in the band around it, and their communities (M,).
 

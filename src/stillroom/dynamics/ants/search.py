@@ -3,9 +3,9 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-import numba
 import numpy as np
 
+from stillroom.compiled import njit
 from stillroom.dynamics.ants.colony import PathConfig
 from stillroom.dynamics.ants.communities import NONE, KnownPoints, convex_hull, from_left, widen
 from stillroom.geometry.arrays import F64, I64, Bool
@@ -65,7 +65,7 @@ class Scent:
         renew(points_px, self._strength, self.config.cell_px, self.config.reach)
 
 
-@numba.njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True)
 def smell(points_px: F64, strength: F64, cell_px: int, least: float, is_marked: Bool) -> None:
     """Mark the points (N, 2) in cells of at least a strength; the others are left as they are."""
     for i in range(len(points_px)):
@@ -75,7 +75,7 @@ def smell(points_px: F64, strength: F64, cell_px: int, least: float, is_marked: 
             is_marked[i] = True
 
 
-@numba.njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True)
 def renew(points_px: F64, strength: F64, cell_px: int, reach: int) -> None:
     """Set the strength of the cells of points (M, 2), and of so many around them, to 1."""
     height, width = strength.shape
@@ -85,7 +85,7 @@ def renew(points_px: F64, strength: F64, cell_px: int, reach: int) -> None:
         strength[max(0, row - reach) : row + reach + 1, max(0, column - reach) : column + reach + 1] = 1.0
 
 
-@numba.njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True)
 def renew_by_mask(mask: Bool, strength: F64, cell: float, reach: int) -> None:
     """Set the strength of the cells of masked pixels (h, w), and of so many around them, to 1; `cell` is in pixels."""
     height, width = strength.shape
@@ -227,7 +227,7 @@ def _communities(points_px: F64, community: I64, least: int) -> tuple[tuple[F64,
     return tuple(hulls), tuple(members)
 
 
-@numba.njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True)
 def first_node_near(points_px: F64, nodes_px: F64, radius_px: float, node: I64) -> None:
     """Write for each point (N, 2) the first node (n, 2) of the path at most a radius away; others are left."""
     for i in range(len(points_px)):

@@ -3,10 +3,10 @@
 from dataclasses import dataclass, field
 
 import cv2
-import numba
 import numpy as np
 
 from stillroom.bounds import bounded, check
+from stillroom.compiled import njit
 from stillroom.data.frame import Frame
 from stillroom.data.image import RgbdImage
 from stillroom.data.motion import Motion
@@ -195,7 +195,7 @@ def _communities_of(points_px: F64, is_dynamic: Bool, config: ReverseSearchConfi
     return SearchResult(is_dynamic, np.ones(len(points_px), dtype=np.bool_), again.path_px, again.hulls, again.members)
 
 
-@numba.njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True)
 def fill(
     hull: U8, members_px: F64, members_m: F64, radius_px: float, margin_m: float, depth_m: F32, filled: Bool
 ) -> None:

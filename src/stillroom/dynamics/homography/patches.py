@@ -1,8 +1,8 @@
 """Where a patch of one image lies in another: a small Lucas–Kanade, a point at a time."""
 
-import numba
 import numpy as np
 
+from stillroom.compiled import njit
 from stillroom.geometry.arrays import F64, U8
 
 HALF_PX = 4
@@ -16,7 +16,7 @@ NOT_SEEN = -1.5
 _ENOUGH_PX = 0.02
 
 
-@numba.njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True)
 def in_view(image: U8, x: float, y: float) -> bool:
     """Return whether a patch around (x, y) lies in an image (h, w)."""
     height, width = image.shape
@@ -24,7 +24,7 @@ def in_view(image: U8, x: float, y: float) -> bool:
     return inside
 
 
-@numba.njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True)
 def take_patch(image: U8, x: float, y: float, patch: F64) -> float:
     """Write the patch around (x, y), which must be in view, row by row to `patch` (N_PIXELS,); return its mean."""
     column, row = int(np.floor(x)), int(np.floor(y))
@@ -40,7 +40,7 @@ def take_patch(image: U8, x: float, y: float, patch: F64) -> float:
     return total / n
 
 
-@numba.njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True)
 def take_gradients(image: U8, x: float, y: float, scratch: F64) -> bool:
     """Write a patch's gradients to rows 1 and 2 of `scratch` (4, N_PIXELS); return whether it is a corner of a kind."""
     take_patch(image, x + 1.0, y, scratch[1])
@@ -61,7 +61,7 @@ def take_gradients(image: U8, x: float, y: float, scratch: F64) -> bool:
     return is_corner
 
 
-@numba.njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True)
 def find_patch(
     now: U8,
     at: tuple[float, float],

@@ -4,9 +4,9 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
+from stillroom.compiled import njit
 from stillroom.dynamics.homography.patches import N_PIXELS, NOT_SEEN, find_patch
 from stillroom.geometry.arrays import F32, F64, I64, U8, Bool
 from stillroom.geometry.camera import Camera, Lens
@@ -175,7 +175,7 @@ class PointTest:
         )
 
 
-@numba.njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True)
 def ask_depth(depth_m: F32, px: F64, z: float, tolerance_m: float) -> int:
     """Return what a depth image (H, W) shows at a pixel, for a surface that should be z away.
 
@@ -200,7 +200,7 @@ def ask_depth(depth_m: F32, px: F64, z: float, tolerance_m: float) -> int:
     return DYNAMIC if n_known > 0 and n_known == n_behind else UNKNOWN
 
 
-@numba.njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True)
 def locate(images: _Images, raw: F64, guess: F64, limits: _Limits, scratch: F64, found: F64) -> int:
     """Find a point of the present image (2,) in the earlier one, from a guess (2,) on; both as taken [px].
 
@@ -227,7 +227,7 @@ def locate(images: _Images, raw: F64, guess: F64, limits: _Limits, scratch: F64,
     return ABSENT if NOT_SEEN < near < limits.max_unlikeness else UNKNOWN
 
 
-@numba.njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True)
 def unexplained_px(found: F64, by_plane: F64, T_then_now: F64, lens: Lens, nearest_m: float) -> float:
     """Return what of a point's distance (2,) from where the plane would have it no depth could explain [px].
 
@@ -246,7 +246,7 @@ def unexplained_px(found: F64, by_plane: F64, T_then_now: F64, lens: Lens, neare
     return float(np.sqrt(across * across + beyond * beyond))
 
 
-@numba.njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True)
 def judge_points(
     which: I64, images: _Images, points: _TestPoints, motions: _Motions, lens: Lens, limits: _Limits, answers: _Answers
 ) -> None:

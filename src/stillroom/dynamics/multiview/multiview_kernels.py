@@ -3,9 +3,9 @@
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from stillroom.compiled import njit
 from stillroom.dynamics.multiview.views import STRIDE
 from stillroom.geometry.arrays import F32, F64, I32, I64, U8
 from stillroom.geometry.camera import Lens

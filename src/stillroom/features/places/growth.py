@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 
+from stillroom.compiled import njit
 from stillroom.features.places.vocabulary import Vocabulary
 from stillroom.geometry.arrays import F32, I32, I64, U8, U64
 from stillroom.geometry.hamming import hamming, words

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Concatenate, ParamSpec, TypeVar
 
 import numpy as np
-from numba import njit
 
 from stillroom.bounds import bounded
+from stillroom.compiled import njit
 from stillroom.data.frame import Frame
 from stillroom.data.map import Covisibility, Map
 from stillroom.data.map.tables import Column, Table

@@ -8,8 +8,8 @@ from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
-from numba import njit
 
+from stillroom.compiled import njit
 from stillroom.errors import VocabularyError
 from stillroom.features.matching import NEAR_BITS, one_to_one
 from stillroom.geometry.arrays import F32, I32, I64, U8, U64, Bool

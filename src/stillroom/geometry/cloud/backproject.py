@@ -3,8 +3,8 @@
 from dataclasses import dataclass, field
 
 import numpy as np
-from numba import njit
 
+from stillroom.compiled import njit
 from stillroom.geometry.arrays import F32, I32
 from stillroom.geometry.camera import Camera
 

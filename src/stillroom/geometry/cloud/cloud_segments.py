@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from stillroom.bounds import bounded
+from stillroom.compiled import njit
 from stillroom.geometry.arrays import F32, F64, I16, I32, I64, Bool, Floats
 from stillroom.geometry.cloud.backproject import RayGrid
 from stillroom.geometry.cloud.euclidean import depth_scaled, euclidean_clusters

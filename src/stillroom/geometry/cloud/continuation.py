@@ -7,8 +7,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from stillroom.compiled import njit
 from stillroom.geometry.arrays import F32, F64, I16
 from stillroom.geometry.cloud.plane_fit import fit
 

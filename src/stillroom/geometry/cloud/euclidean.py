@@ -6,8 +6,8 @@ Why not a library: docs/reference.md#library-measurements.
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from stillroom.compiled import njit
 from stillroom.geometry.arrays import F64, I32, I64, Floats
 from stillroom.geometry.cloud.voxels import cell_of_points, cells_of, slot_of, table_size
 

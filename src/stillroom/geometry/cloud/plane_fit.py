@@ -9,8 +9,8 @@ those of its cells.
 import math
 
 import numpy as np
-from numba import njit
 
+from stillroom.compiled import njit
 from stillroom.geometry.arrays import F32, F64, I32, Bool
 
 N_TERMS = 6

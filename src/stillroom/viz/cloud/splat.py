@@ -3,8 +3,8 @@
 from dataclasses import dataclass, field
 
 import numpy as np
-from numba import njit
 
+from stillroom.compiled import njit
 from stillroom.data.dense_cloud import DenseCloud
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F32, I32

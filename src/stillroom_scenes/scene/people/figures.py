@@ -4,8 +4,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from stillroom.compiled import njit
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64, I32
 from stillroom_scenes.scene import furniture, pictures

@@ -1,0 +1,150 @@
+"""The decorator of all kernels: numba's `njit`, with the machine code in the user's cache.
+
+Numba has one folder for the whole process, `numba.config.CACHE_DIR`, and reads it when a function is decorated. It is
+set here only while a kernel of Stillroom is decorated, so that functions of others are cached where they were before.
+Where somebody else has set it, by `NUMBA_CACHE_DIR` or in `numba.config`, kernels are kept there.
+
+Where that folder cannot be made or written, the kernels that already lie in it are read, and others are compiled into a
+temporary folder that ends with the process.
+"""
+
+import atexit
+import functools
+import inspect
+import logging
+import os
+import shutil
+import tempfile
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numba
+
+from stillroom.data.locations import cache_folder
+from stillroom.errors import ConfigError
+from stillroom.version import __version__
+
+logger = logging.getLogger(__name__)
+# The version is part of the path because numba asks only of a kernel's own file whether it changed, not of the files of
+# those it calls.
+_BELOW_CACHE = Path("numba") / __version__
+_lock = threading.RLock()
+
+
+def njit(signature_or_function: Any = None, **options: Any) -> Any:
+    """Do as `numba.njit` does, with the same arguments, and keep the machine code in `kernel_cache()`.
+
+    Returns:
+        The kernel where a function is given, else a decorator.
+    """
+    if inspect.isfunction(signature_or_function):
+        return njit(**options)(signature_or_function)
+
+    def decorate(function: Any) -> Any:
+        if not options.get("cache"):
+            return numba.njit(signature_or_function, **options)(function)
+        with _cache_in_place() as is_there:
+            return numba.njit(signature_or_function, **options | {"cache": is_there})(function)
+
+    return decorate
+
+
+def kernel_cache() -> Path | None:
+    """Return the folder in which compiled kernels are kept, which need not exist yet; None where there is no home."""
+    return Path(numba.config.CACHE_DIR) if numba.config.CACHE_DIR else _our_folder()
+
+
+def is_kept() -> bool:
+    """Return whether kernels that are compiled now are kept in `kernel_cache()`; makes that folder if need be."""
+    kept = kernel_cache()
+    return kept is not None and _working_folder(kept) == kept
+
+
+@functools.cache
+def _our_folder() -> Path | None:
+    """Return the folder in the user's cache: that of the first question, for kernels are decorated once."""
+    try:
+        return cache_folder() / _BELOW_CACHE
+    except ConfigError:
+        return None
+
+
+@contextmanager
+def _cache_in_place() -> Iterator[bool]:
+    """Let numba cache where kernels are kept while this is open; give whether there is such a place."""
+    with _lock:
+        before = numba.config.CACHE_DIR
+        folder = _working_folder(kernel_cache())
+        numba.config.CACHE_DIR = before if folder is None else str(folder)
+        try:
+            yield folder is not None
+        finally:
+            numba.config.CACHE_DIR = before
+
+
+@functools.cache
+def _working_folder(kept: Path | None) -> Path | None:
+    """Return `kept`, or a temporary folder with what is in it where it cannot be written, or None where neither can."""
+    if kept is None:
+        return _substitute(None, "there is no home folder")
+    try:
+        _check_writable(kept)
+    except OSError as error:
+        return _substitute(kept, f"{kept} cannot be written ({error})")
+    return kept
+
+
+def _check_writable(folder: Path) -> None:
+    """Make the folder, and try to write there.
+
+    Raises:
+        OSError: It, or a folder in it, cannot be written.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    tempfile.TemporaryFile(dir=folder).close()
+    for below in folder.iterdir():
+        # Numba makes a folder for each folder of sources; somebody else, such as root, may have made this one.
+        if below.is_dir() and not os.access(below, os.W_OK | os.X_OK):
+            raise PermissionError(f"{below.name} in it is somebody else's")
+
+
+def _substitute(kept: Path | None, reason: str) -> Path | None:
+    """Return a new temporary folder with what can be read in `kept`, and say so; None where there can be none."""
+    try:
+        folder = Path(tempfile.mkdtemp(prefix="stillroom-kernels-"))
+    except OSError as error:
+        logger.warning("%s, nor is there a temporary folder (%s): compiled kernels are not kept", reason, error)
+        return None
+    atexit.register(_remove, folder, os.getpid())
+    n_found = 0 if kept is None else _link_files(kept, folder)
+    # A cache that was filled before it was locked is as it should be.
+    level = logging.INFO if n_found else logging.WARNING
+    logger.log(level, "%s: kernels that are compiled now are kept for this process alone", reason)
+    return folder
+
+
+def _link_files(kept: Path, folder: Path) -> int:
+    """Link or copy all files of one folder into another, and return how many.
+
+    Numba writes by replacing whole files, so that a link is replaced and what it leads to stays as it is.
+    """
+    n_found = 0
+    for place, _, names in os.walk(kept):
+        to = folder / Path(place).relative_to(kept)
+        to.mkdir(exist_ok=True)
+        for name in names:
+            try:
+                (to / name).symlink_to(Path(place, name).absolute())
+            except OSError:  # a system without links
+                shutil.copyfile(Path(place, name), to / name)
+            n_found += 1
+    return n_found
+
+
+def _remove(folder: Path, owner: int) -> None:
+    """Remove the folder, unless this is a fork of the process that made it."""
+    if os.getpid() == owner:
+        shutil.rmtree(folder, ignore_errors=True)

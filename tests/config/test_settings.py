@@ -200,7 +200,7 @@ def test_wrong_kinds_and_keys_of_another_kind() -> None:
 
 
 def test_a_part_of_ones_own_needs_no_registration() -> None:
-    kind = "stillroom.semantics.truth:TruthConfig"
+    kind = "stillroom.semantics.truth:TrueSemanticsConfig"
     assert with_overrides(SlamConfig(), [f"semantics.kind={kind}"]).semantics == TrueSemanticsConfig()
     config = SlamConfig(dynamics=OwnSieveConfig(threshold_px=4.0))
     assert f'kind = "{__name__}:OwnSieveConfig"' in to_toml(config)

@@ -372,6 +372,32 @@ def test_every_room_with_a_level_is_there_to_be_judged() -> None:
     assert not missing, f"rooms with a level but without a file: {sorted(missing)}"
 
 
+CLOCKS = {"time", "perf_counter", "monotonic", "process_time", "thread_time"}
+
+
+def clocks_read(folder: Path) -> list[str]:
+    """Return where a clock is read: what a test says of time depends on what else the machine does."""
+    return [
+        f"{path.relative_to(folder).as_posix()}:{node.lineno}: reads {ast.unparse(node.func)}"
+        for path in sorted(folder.rglob("*.py"))
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Call)
+        and isinstance(node.func, ast.Attribute)
+        and node.func.attr.removesuffix("_ns") in CLOCKS
+        and ast.unparse(node.func.value) == "time"
+    ]
+
+
+def test_no_test_reads_a_clock() -> None:
+    violations = clocks_read(Path(__file__).parent)
+    assert not violations, "\n".join(violations)
+
+
+def test_a_test_that_reads_a_clock_is_found(tmp_path: Path) -> None:
+    write(tmp_path, {"cli/test_run.py": "import time\nclock = time.monotonic\nassert time.thread_time_ns() < 3\n"})
+    assert clocks_read(tmp_path) == ["cli/test_run.py:3: reads time.thread_time_ns"]
+
+
 # The proof: each small faulty tree breaks one rule once and no other; a fine tree breaks none.
 
 

@@ -24,7 +24,7 @@ from stillroom.cli.bench import app
 from stillroom.datasets.open import open_dataset
 from stillroom.datasets.recording import Recording
 from stillroom.datasets.selection import select
-from stillroom.dense.dense_mapper import DenseMapper, DenseMapperConfig
+from stillroom.dense.dense_mapper import DenseMapper
 from stillroom.errors import ConfigError, TrajectoryError
 from stillroom.evaluation.ghosts import CompletenessFigure, Gatherer, GhostFigure
 from stillroom.geometry import se3
@@ -87,7 +87,8 @@ def test_no_image_outside_the_stretch_touches_the_map(monkeypatch: pytest.Monkey
     for name in ("integrate", "carve"):
         monkeypatch.setattr(DenseMapper, name, noting(name))
     room = select(open_dataset(ROOM), ":30")
-    made = dense_maps(room, configure("oc-slam", None, [TRUTH]), DenseMapperConfig(), range(10, 25))
+    config = configure("oc-slam", None, [TRUTH])
+    made = dense_maps(room, config, config.dense, range(10, 25))
     assert touched[True] == touched[False]
     numbers = [number for _, number in touched[True]]
     assert numbers == list(range(10, 25))

@@ -13,12 +13,12 @@ from red_network import red_config, reddened, save_red_network
 from stillroom.data.image import RgbdImage
 from stillroom.data.semantics import Box, Instance, Semantics
 from stillroom.datasets.open import open_dataset
+from stillroom.presets.registry import configure
 from stillroom.protocols import Segmenter
 from stillroom.semantics.carried_boxes import CarriedBoxes, CarryConfig
 from stillroom.semantics.detector import withhold
 from stillroom.semantics.mask_files import MaskFilesConfig
 from stillroom.semantics.masks.onnx_masks import OnnxMasksConfig
-from stillroom.semantics.masks.pspnet import PspNetConfig
 from stillroom.semantics.no_segmenter import NothingConfig
 from stillroom.semantics.onnx.onnx_boxes import OnnxBoxesConfig
 from stillroom.semantics.truth import TrueSemanticsConfig
@@ -146,7 +146,7 @@ def test_onnx_masks_keep_the_contract(deeplab: Path, bonn: Path) -> None:
 
 def test_pspnet_keeps_the_contract(bonn: Path) -> None:
     dataset = open_dataset(str(bonn))
-    config = PspNetConfig(input="320x240", every=2, latency_frames=1)
+    config = configure("pspnet-slam", overrides=["semantics.every=2", "semantics.latency_frames=1"]).semantics
     answers = check_segmenter(config.build, [dataset.load(index) for index in range(420, 424)])
     assert all(answer.boxes and answer.mask.any() for answer in answers)
 

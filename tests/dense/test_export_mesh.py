@@ -1,7 +1,6 @@
 """mesh.ply against surfaces that are known exactly."""
 
 import sys
-import time
 import tracemalloc
 from dataclasses import replace
 from pathlib import Path
@@ -9,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from counted_lines import n_lines
 from numpy.typing import NDArray
 from oriented_clouds import Surfaces
 from plyfile import PlyData
@@ -209,8 +209,8 @@ def _part(cloud: DenseCloud, kept: NDArray[np.bool_]) -> DenseCloud:
 
 
 @pytest.mark.slow
-def test_a_million_points_take_seconds_and_little_more_memory_than_the_mesh(tmp_path: Path) -> None:
-    """A hall of 18 m by 18 m by 4 m; other processes may be busy, so it is this one's own time that counts."""
+def test_a_million_points_take_few_lines_and_little_more_memory_than_the_mesh(tmp_path: Path) -> None:
+    """A hall of 18 m by 18 m by 4 m."""
     hall = Surfaces(density_per_m2=8000.0)
     hall.rectangle((0, 0, 0), (18, 0, 0), (0, 18, 0)).rectangle((0, 0, 4), (0, 18, 0), (18, 0, 0))
     hall.rectangle((0, 0, 0), (0, 0, 4), (18, 0, 0)).rectangle((0, 0, 0), (0, 18, 0), (0, 0, 4))
@@ -219,13 +219,14 @@ def test_a_million_points_take_seconds_and_little_more_memory_than_the_mesh(tmp_
     cloud.positions_m[len(cloud) // 2 :, 2] += 4.5
     made(_part(cloud, np.arange(len(cloud)) < 1000))  # compiles
     assert len(cloud) > 1_000_000
-    start_s = time.process_time()
+    meshes: list[Mesh] = []
     tracemalloc.start()
-    mesh = made(cloud)
+    lines = n_lines(lambda: meshes.append(made(cloud)))
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
+    (mesh,) = meshes
     mesh.write_ply(tmp_path / "mesh.ply")
-    assert time.process_time() - start_s < 60
+    assert lines < 0.2 * len(cloud)
     assert peak < 600 * len(cloud)
     assert area_in_m2(mesh, 0.1, 0.9) > 0
 

@@ -12,13 +12,13 @@ from true_surfaces import FIGURES, REACH_M, STILL, THINGS, distances_m, share_in
 from stillroom.data.dense_cloud import DenseCloud
 from stillroom.data.image import RgbdImage
 from stillroom.datasets.open import open_dataset
-from stillroom.dense.carving import CarvingConfig
 from stillroom.dense.dense_mapper import DenseMapperConfig
+from stillroom.presets.registry import configure
 from stillroom_scenes.room import FrameTruth, SyntheticRoom
 
 STEP = 5
-FULL = DenseMapperConfig()
-WITHOUT = DenseMapperConfig(carving=CarvingConfig(removal=False))
+FULL = configure("oc-slam").dense
+WITHOUT = configure("oc-slam", overrides=["dense.carving.removal=false"]).dense
 FAR_M = 7.0
 
 

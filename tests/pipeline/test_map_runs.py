@@ -3,7 +3,6 @@
 import hashlib
 import subprocess
 import sys
-import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -47,16 +46,13 @@ def sha256(path: Path) -> str:
 class Kept:
     outcome: RunOutcome
     path: Path
-    cpu_s: float
 
 
 @pytest.fixture(scope="module")
 def kept(room: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Kept:
     """The first second of the room, with its map."""
     path = tmp_path_factory.mktemp("maps") / "room.stillmap"
-    start_s = time.process_time()
-    outcome = run(select(room, frames=":30"), CONFIG, on(path, MapUse.NEW))
-    return Kept(outcome, path, time.process_time() - start_s)
+    return Kept(run(select(room, frames=":30"), CONFIG, on(path, MapUse.NEW)), path)
 
 
 @pytest.fixture
@@ -259,14 +255,14 @@ def test_mask_files_cannot_be_played_backwards(room: Dataset, tmp_path: Path) ->
 
 
 KILLED = """
-import os, signal, sys, threading, time
+import os, signal, sys
 from pathlib import Path
 
 import stillroom.session.map_file as use
 from stillroom.storage.writer import MapWriter
 
-path, log, statement, seconds = Path(sys.argv[1]), sys.argv[2], int(sys.argv[3]), float(sys.argv[4])
-commit, begin, seen = MapWriter.commit, MapWriter.begin, [0]
+path, log, statement, step = Path(sys.argv[1]), sys.argv[2], int(sys.argv[3]), int(sys.argv[4])
+commit, begin, seen, steps = MapWriter.commit, MapWriter.begin, [0], [0]
 
 
 def die(*_):
@@ -279,16 +275,15 @@ def count(sql):
         die()
 
 
-def die_in_time(end_s):
-    while time.process_time() < end_s:
-        time.sleep(0.002)
-    die()
+def count_steps():
+    steps[0] += 1
+    if steps[0] == step:
+        die()
 
 
 def counted_begin(self, session):
     self._connection.set_trace_callback(count)
-    if seconds:
-        threading.Thread(target=die_in_time, args=(time.process_time() + seconds,), daemon=True).start()
+    self._connection.set_progress_handler(count_steps, 10)
     return begin(self, session)
 
 
@@ -307,16 +302,22 @@ from stillroom.pipeline import run
 
 room = select(open_dataset("synthetic:walking,frames=45"), frames=":30")
 run(room, CONFIG, on(path, use.MapUse.NEW))
-print(seen[0])
+print(steps[0])
 """
 
 
-def killed(path: Path, statement: int, seconds: float = 0.0) -> list[int]:
-    """Run a process that dies at an SQL statement or after CPU seconds; return how many keyframes it had committed."""
+def attempt(path: Path, statement: int = 0, step: int = 0) -> subprocess.CompletedProcess[str]:
+    """Run a process that dies at an SQL statement, or at a step of ten instructions within one; 0: at none."""
     log, here = path.with_suffix(".log"), Path(__file__).parent
-    arguments = [str(path), str(log), str(statement), str(seconds), str(here), str(here.parent / "fabricated")]
+    arguments = [str(path), str(log), str(statement), str(step), str(here), str(here.parent / "fabricated")]
     done = subprocess.run([sys.executable, "-c", KILLED, *arguments], capture_output=True, text=True, check=False)
-    assert done.returncode in (-9, 0), done.stderr
+    assert done.returncode == (-9 if statement or step else 0), done.stderr
+    return done
+
+
+def committed_by(path: Path) -> list[int]:
+    """Return how many keyframes the process had committed, time after time."""
+    log = path.with_suffix(".log")
     return [int(line) for line in log.read_text().split()] if log.exists() else []
 
 
@@ -344,15 +345,21 @@ def test_a_map_survives_kill_9(moment: int, room: Dataset, tmp_path: Path) -> No
     """In the middle of a transaction, and between two."""
     statement = int(np.random.default_rng(moment).integers(2 + 20 * moment, 20 + 20 * moment))
     path = tmp_path / "room.stillmap"
-    committed = killed(path, statement)
+    attempt(path, statement)
     assert log_of(path).exists(), "the process ended in peace"
-    assert_survived(path, committed, room)
+    assert_survived(path, committed_by(path), room)
+
+
+@pytest.fixture(scope="module")
+def n_steps(tmp_path_factory: pytest.TempPathFactory) -> int:
+    """How many steps SQLite takes in a whole run."""
+    return int(attempt(tmp_path_factory.mktemp("whole") / "room.stillmap").stdout)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("moment", range(20))
-def test_a_map_survives_kill_9_at_any_time(moment: int, kept: Kept, room: Dataset, tmp_path: Path) -> None:
-    rng = np.random.default_rng(100 + moment)
+def test_a_map_survives_kill_9_within_any_statement(moment: int, n_steps: int, room: Dataset, tmp_path: Path) -> None:
+    step = int(np.random.default_rng(100 + moment).integers(1, n_steps))
     path = tmp_path / "room.stillmap"
-    committed = killed(path, 0, float(rng.uniform(0.0, kept.cpu_s)))
-    assert_survived(path, committed, room)
+    attempt(path, step=step)
+    assert_survived(path, committed_by(path), room)

@@ -24,6 +24,7 @@ from stillroom.presets import registry
 from stillroom.presets.method import Method
 from stillroom.presets.registry import all_methods, configure, method
 from stillroom.semantics.depth_clusters import DepthClustersConfig, NoClustersConfig
+from stillroom.semantics.masks.pspnet import PspNetConfig
 from stillroom.semantics.no_segmenter import NothingConfig
 from stillroom.semantics.yolo_fastest import YoloFastestConfig
 from stillroom.tracking.low_cost import LowCostConfig, NoLowCostConfig
@@ -41,15 +42,22 @@ def install(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
 
 def test_the_presets_are_rows_of_the_table() -> None:
     orb_slam2, oc_slam = method("orb-slam2").config, method("oc-slam").config
-    assert (orb_slam2.semantics, orb_slam2.dynamics) == (NothingConfig(), KeepAllConfig())
-    assert (oc_slam.semantics, oc_slam.dynamics) == (YoloFastestConfig(), ClusterSieveConfig())
-    assert (orb_slam2.clusters, oc_slam.clusters) == (NoClustersConfig(), DepthClustersConfig())
+    assert classes(orb_slam2, "semantics", "dynamics", "clusters") == [NothingConfig, KeepAllConfig, NoClustersConfig]
+    assert classes(oc_slam, "semantics", "dynamics", "clusters") == [
+        YoloFastestConfig,
+        ClusterSieveConfig,
+        DepthClustersConfig,
+    ]
     assert isinstance(oc_slam.semantics, YoloFastestConfig)
     assert oc_slam.semantics.confidence == 0.80  # OC-SLAM 2.1
     # All else is ORB-SLAM2's.
-    assert (orb_slam2.dense, oc_slam.dense) == (NoDenseMapConfig(), DenseMapperConfig())
+    assert classes(orb_slam2, "dense") + classes(oc_slam, "dense") == [NoDenseMapConfig, DenseMapperConfig]
     rest = {part: getattr(orb_slam2, part) for part in ("semantics", "clusters", "dynamics", "dense")}
     assert replace(oc_slam, method="orb-slam2", **rest) == orb_slam2
+
+
+def classes(config: SlamConfig, *parts: str) -> list[type]:
+    return [type(getattr(config, part)) for part in parts]
 
 
 def rest_of(config: SlamConfig, *own: str) -> SlamConfig:
@@ -63,22 +71,31 @@ MASKED = ("semantics", "keypoints", "low_cost", "dynamics", "dense")
 
 def test_pspnet_slam_is_masks_a_homography_and_segments_that_move() -> None:
     config = method("pspnet-slam").config
-    assert isinstance(config.keypoints, MaskedKeypointsConfig)
-    assert config.low_cost == LowCostConfig()
-    assert config.dynamics == ChainConfig(CompensatedHomographyConfig(), MovedSegmentsConfig())
-    assert config.clusters == DepthClustersConfig(leave_out_masked=True)
-    assert config.dense == DenseMapperConfig()
+    assert classes(config, "semantics", "keypoints", "low_cost") == [
+        PspNetConfig,
+        MaskedKeypointsConfig,
+        LowCostConfig,
+    ]
+    assert isinstance(config.dynamics, ChainConfig)
+    assert isinstance(config.dynamics.first, CompensatedHomographyConfig)
+    assert isinstance(config.dynamics.second, MovedSegmentsConfig)
+    assert isinstance(config.clusters, DepthClustersConfig)
+    assert config.clusters.leave_out_masked, "what is masked is the network's to find"
+    assert config.dense == method("oc-slam").config.dense
     assert rest_of(config, *MASKED, "clusters") == SlamConfig()
 
 
 def test_dynaslam_is_masks_and_multi_view_geometry_and_each_alone() -> None:
     both, network, geometry = (method(name).config for name in ("dynaslam", "dynaslam-n", "dynaslam-g"))
-    assert (both.dynamics, both.low_cost) == (MultiViewConfig(), LowCostConfig())
+    assert classes(both, "semantics", "dynamics", "low_cost") == [PspNetConfig, MultiViewConfig, LowCostConfig]
     assert both.semantics.regions.dilate_px == 15  # type: ignore[attr-defined] # docs/reference.md#dynaslam
     assert (network.semantics, network.keypoints) == (both.semantics, both.keypoints)
-    assert (network.dynamics, network.low_cost) == (MultiViewConfig(geometry=False), NoLowCostConfig())
-    assert (geometry.semantics, geometry.keypoints) == (NothingConfig(), KeepAllKeypointsConfig())
-    assert (geometry.dynamics, geometry.low_cost) == (MultiViewConfig(network=False), LowCostConfig())
+    assert classes(network, "low_cost") == [NoLowCostConfig]
+    assert classes(geometry, "semantics", "keypoints") == [NothingConfig, KeepAllKeypointsConfig]
+    assert geometry.low_cost == both.low_cost
+    assert isinstance(both.dynamics, MultiViewConfig)
+    assert network.dynamics == replace(both.dynamics, geometry=False)
+    assert geometry.dynamics == replace(both.dynamics, network=False)
     for config in (both, network, geometry):
         assert rest_of(config, *MASKED) == SlamConfig()
 
@@ -87,12 +104,16 @@ def test_dynaslam_is_masks_and_multi_view_geometry_and_each_alone() -> None:
 def test_the_numbers_of_dynaslams_paper_and_code_can_be_chosen(kind: str) -> None:
     config = configure("dynaslam", None, [f"dynamics.kind={kind}"])
     assert type(config.dynamics) is DYNAMICS.classes[kind]
-    assert replace(config, dynamics=MultiViewConfig()) == method("dynaslam").config
+    preset = method("dynaslam").config
+    assert replace(config, dynamics=preset.dynamics) == preset
 
 
 def test_the_sieves_of_a_chain_are_sockets_of_their_own() -> None:
     config = configure("pspnet-slam", None, ["dynamics.second.kind=keep-all", "dynamics.first.search=exhaustive"])
-    assert config.dynamics == ChainConfig(CompensatedHomographyConfig(search="exhaustive"), KeepAllConfig())
+    preset = method("pspnet-slam").config.dynamics
+    assert isinstance(preset, ChainConfig)
+    assert isinstance(preset.first, CompensatedHomographyConfig)
+    assert config.dynamics == ChainConfig(replace(preset.first, search="exhaustive"), KeepAllConfig())
     again = updated(SlamConfig(), tomllib.loads(to_toml(config)))
     assert again == config
     with pytest.raises(ConfigError, match=r"dynamics.second.kind is 'chains'.*did you mean"):
@@ -132,7 +153,7 @@ def test_preset_then_file_then_overrides_then_seed(tmp_path: Path) -> None:
     assert config.method == "oc-slam"
     assert (config.tracking.min_inliers, config.tracking.min_matches, config.seed) == (50, 41, 7)
     assert config.dynamics == PaperEpipolarConfig()
-    assert config.semantics == YoloFastestConfig()
+    assert config.semantics == method("oc-slam").config.semantics
     assert configure("oc-slam", file).seed == 3
 
 

@@ -10,9 +10,9 @@ import pytest
 from stillroom.data.image import RgbdImage
 from stillroom.data.semantics import Box
 from stillroom.errors import ConfigError
+from stillroom.presets.registry import configure
 from stillroom.semantics.carried_boxes import CarriedBoxes, CarryConfig, Follower
 from stillroom.semantics.detector import withhold
-from stillroom.semantics.yolo_fastest import YoloFastestConfig
 
 HEIGHT, WIDTH, TALL, BROAD, TOP = 240, 320, 150, 60, 60
 
@@ -251,7 +251,7 @@ def test_impossible_values(options, said):
 def test_real_people_stay_covered_while_the_detector_is_off(bonn: Path):
     """Frames 450–470 of the Bonn stretch, three people, nobody enters: boxes with the detector on are the oracle."""
     images = [load_bonn(bonn, index) for index in range(445, 470)]
-    config = YoloFastestConfig()
+    config = configure("oc-slam").semantics
     full, cut = config.build(), withhold(config.build(), [(450, 470)])
     covered = present = 0
     for image in images:

@@ -16,9 +16,9 @@ from stillroom.geometry.arrays import Bool
 from stillroom.geometry.camera import Camera
 from stillroom.geometry.cloud.cloud_segments import SegmentLimits
 from stillroom.geometry.cloud.planes import PlaneLimits
+from stillroom.presets.registry import configure
 from stillroom.schedule import Done
 from stillroom.semantics.depth_clusters import DepthClusterer, DepthClustersConfig, NoClustersConfig
-from stillroom.semantics.yolo_fastest import YoloFastestConfig
 from stillroom_scenes.config import open_synthetic
 
 CAMERA = Camera(640, 480, 540.0, 540.0, 320.0, 240.0)
@@ -226,8 +226,8 @@ def test_people_in_real_frames_are_clusters_of_their_own(bonn: Path, frame: int)
 
 def test_boxes_of_the_detector_name_the_people_of_real_frames(bonn: Path) -> None:
     sequence = open_dataset(str(bonn))
-    detect = YoloFastestConfig().build()
-    clusterer = DepthClustersConfig().build(parts(sequence.camera, seed=0))
+    preset = configure("oc-slam")
+    detect, clusterer = preset.semantics.build(), preset.clusters.build(parts(sequence.camera, seed=0))
     named = total = 0
     for frame in (300, 340, 380, 460, 520, 540):
         for index in range(frame - 6, frame + 1):  # boxes are carried over the frames that the detector misses
@@ -360,7 +360,7 @@ def test_what_a_mask_covers_belongs_to_no_cluster_and_what_is_carried_is_one_of_
     known = Semantics(480, 640, (person_box(260, 120, 420, 479),), mask)
     image = image_of(depth_m)
     joined = DepthClustersConfig().build(parts(CAMERA, seed=0))(image, Done(known)).clusters
-    apart = DepthClustersConfig(leave_out_masked=True).build(parts(CAMERA, seed=0))(image, Done(known)).clusters
+    apart = configure("pspnet-slam").clusters.build(parts(CAMERA, seed=0))(image, Done(known)).clusters
     assert joined is not None
     assert apart is not None
     carried = joined.labels[260, 400]

@@ -16,7 +16,7 @@ from stillroom.datasets.open import open_dataset
 from stillroom.datasets.selection import select
 from stillroom.dense.no_dense_map import NoDenseMapConfig
 from stillroom.evaluation.trajectory_errors import ate
-from stillroom.presets.registry import method
+from stillroom.presets.registry import configure, method
 from stillroom.protocols import Dataset
 from stillroom.system import System, build
 from stillroom.tracking.relocalizer import RelocalizerConfig
@@ -56,7 +56,7 @@ class TestKidnap:
 
     def check(self, freiburg1: Path, seed: int) -> None:
         dataset = select(open_dataset(str(freiburg1)), drop=["46:84"])
-        system = tracked(dataset, SlamConfig(seed=seed))
+        system = tracked(dataset, configure("orb-slam2", seed=seed))
         back = first_back(system, 84)
         assert back.recovery is Recovery.PLACE
         check(dataset, system, 84, WITHIN, 0.03)
@@ -119,7 +119,7 @@ class TestStrangePlace:
         assert len(system.trajectory()) == n_poses
 
     def test_none_is_accepted(self, bonn: Path, freiburg1: Path) -> None:
-        self.check(bonn, freiburg1, SlamConfig(), 2, 100)
+        self.check(bonn, freiburg1, configure("orb-slam2"), 2, 100)
 
     @pytest.mark.slow
     def test_none_is_accepted_by_the_whole_map(self, bonn: Path, freiburg1: Path) -> None:
@@ -132,7 +132,9 @@ class TestSubmaps:
     @pytest.mark.parametrize("gap", [{"drop": ["46:84"]}, {"blackout": ["40:43"]}], ids=["kidnapped", "blinded"])
     def test_a_new_piece_is_begun_and_joined(self, freiburg1: Path, gap: dict[str, list[str]]) -> None:
         dataset = select(open_dataset(str(freiburg1)), frames=":110", **gap)
-        system = tracked(dataset, SlamConfig(recovery=RelocalizerConfig(n_places=0, n_keyframes=0, patience=2)))
+        system = tracked(
+            dataset, replace(configure("orb-slam2"), recovery=RelocalizerConfig(n_places=0, n_keyframes=0, patience=2))
+        )
         lost = [r.index for r in system.results if r.state is TrackingState.LOST]
         assert 2 <= len(lost) <= 5
         assert [r.recovery for r in system.results].count(Recovery.NEW_SUBMAP) == 1
@@ -145,6 +147,8 @@ class TestSubmaps:
 
     def test_without_patience_nothing_is_begun(self, freiburg1: Path) -> None:
         dataset = select(open_dataset(str(freiburg1)), frames=":40", blackout=["12:16"])
-        system = tracked(dataset, SlamConfig(recovery=RelocalizerConfig(n_places=0, n_keyframes=0, patience=0)))
+        system = tracked(
+            dataset, replace(configure("orb-slam2"), recovery=RelocalizerConfig(n_places=0, n_keyframes=0, patience=0))
+        )
         assert [r.state for r in system.results[12:]] == [TrackingState.LOST] * (len(dataset) - 12)
         assert system.map.n_submaps == 1

@@ -15,6 +15,7 @@ from stillroom.data.result import Tracked, TrackingState
 from stillroom.datasets.open import open_dataset
 from stillroom.dynamics.chain import KeepAllMatches
 from stillroom.geometry import se3
+from stillroom.presets.registry import configure
 from stillroom.protocols import MatchSieve
 from stillroom.system import build
 from stillroom.tracking.low_cost import LowCostConfig, NoLowCostConfig
@@ -123,7 +124,9 @@ class Shared:
         return self.sieve
 
 
-@pytest.mark.parametrize("low_cost", [NoLowCostConfig(), LowCostConfig()], ids=["without", "with"])
+@pytest.mark.parametrize(
+    "low_cost", [configure(name).low_cost for name in ("orb-slam2", "dynaslam")], ids=["without", "with"]
+)
 def test_sieve_2_is_asked_there_before_all_other_stages(low_cost: LowCostConfig | NoLowCostConfig) -> None:
     shared, dataset = Shared(), open_dataset("synthetic:empty")
     system = build(SlamConfig(dynamics=shared, low_cost=low_cost), dataset.camera)  # type: ignore[arg-type]

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from small_world import no_semantics
 
-from stillroom.config import SlamConfig
 from stillroom.data.image import RgbdImage
 from stillroom.data.motion import Motion
 from stillroom.data.result import FrameResult, Tracked, TrackingState
@@ -16,6 +15,7 @@ from stillroom.datasets.open import open_dataset
 from stillroom.datasets.selection import select
 from stillroom.evaluation.trajectory_errors import ate
 from stillroom.geometry import se3
+from stillroom.presets.registry import configure
 from stillroom.protocols import Dataset
 from stillroom.system import System, build
 
@@ -40,7 +40,7 @@ class Run:
 
 
 def run(dataset: Dataset, n_frames: int = N_FRAMES) -> Run:
-    system = build(SlamConfig(), dataset.camera)
+    system = build(configure("orb-slam2"), dataset.camera)
     return Run(dataset, system, [system.process(dataset.load(i)) for i in range(n_frames)])
 
 
@@ -171,7 +171,7 @@ def covered(image: RgbdImage) -> RgbdImage:
 @pytest.mark.parametrize("spoil", [black, covered])
 def test_a_blackout_is_reported_and_tracking_starts_again(bonn: Path, spoil: Callable[[RgbdImage], RgbdImage]) -> None:
     dataset = select(open_dataset(str(bonn)), frames="0:34")
-    system = build(SlamConfig(), dataset.camera)
+    system = build(configure("orb-slam2"), dataset.camera)
     dark = range(18, 24)
     for i in range(len(dataset)):
         system.process(spoil(dataset.load(i)) if i in dark else dataset.load(i))
@@ -186,7 +186,7 @@ def test_a_blackout_is_reported_and_tracking_starts_again(bonn: Path, spoil: Cal
 
 def test_black_frames_at_the_start_only_put_it_off(freiburg1: Path) -> None:
     dataset = select(open_dataset(str(freiburg1)), frames="0:6", blackout=["0:3"])
-    system = build(SlamConfig(), dataset.camera)
+    system = build(configure("orb-slam2"), dataset.camera)
     states = [system.process(dataset.load(i)).state for i in range(6)]
     assert states == [TrackingState.NOT_INITIALIZED] * 3 + [TrackingState.OK] * 3
     assert len(system.trajectory()) == 3
@@ -195,7 +195,7 @@ def test_black_frames_at_the_start_only_put_it_off(freiburg1: Path) -> None:
 
 def test_frames_without_depth_do_not_start_a_map_but_can_be_tracked_in_one(freiburg1: Path) -> None:
     dataset = open_dataset(str(freiburg1))
-    system = build(SlamConfig(), dataset.camera)
+    system = build(configure("orb-slam2"), dataset.camera)
     blind = [replace(dataset.load(i), depth_m=np.zeros_like(dataset.load(i).depth_m)) for i in (0, 4, 5)]
     assert system.process(blind[0]).state is TrackingState.NOT_INITIALIZED
     for i in range(1, 4):

@@ -63,7 +63,16 @@ class StageClock:
     that is present when it ends.
     """
 
-    def __init__(self) -> None:
+    def __init__(
+        self, wall_ns: Callable[[], int] = time.perf_counter_ns, cpu_ns: Callable[[], int] = time.thread_time_ns
+    ) -> None:
+        """Take the clocks.
+
+        Args:
+            wall_ns: The clock on the wall [ns].
+            cpu_ns: What the CPU has spent on the thread that asks [ns].
+        """
+        self._wall_ns, self._cpu_ns = wall_ns, cpu_ns
         self._frames: list[tuple[int, dict[str, _Cost]]] = []
         self._present: dict[str, _Cost] = {}
         self._lock = threading.Lock()
@@ -71,11 +80,11 @@ class StageClock:
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
         """Time the block under a name."""
-        wall_ns, cpu_ns = time.perf_counter_ns(), time.thread_time_ns()
+        wall_ns, cpu_ns = self._wall_ns(), self._cpu_ns()
         try:
             yield
         finally:
-            cpu_ns, wall_ns = time.thread_time_ns() - cpu_ns, time.perf_counter_ns() - wall_ns
+            cpu_ns, wall_ns = self._cpu_ns() - cpu_ns, self._wall_ns() - wall_ns
             with self._lock:
                 cost = self._present.setdefault(name, _Cost())
                 cost.wall_ns += wall_ns
@@ -158,23 +167,24 @@ def _ms(ns: int) -> str:
     return f"{ns * 1e-6:.4f}"
 
 
-def unit_ms(images: Sequence[U8]) -> float:
+def unit_ms(images: Sequence[U8], cpu_ns: Callable[[], int] = time.thread_time_ns) -> float:
     """Return the mean CPU time [ms] of one `cv2.ORB_create(1000).detectAndCompute` on the images, on one thread.
 
     Figures in this unit hold across machines; take it in the same process and on the same frames as the figures.
 
     Args:
         images: At least one gray image (H, W) uint8.
+        cpu_ns: What the CPU has spent on the thread that asks [ns].
     """
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:
         orb = cv2.ORB.create(1000)
         orb.detectAndCompute(images[0], None)  # the first call allocates
-        start_ns = time.thread_time_ns()
+        start_ns = cpu_ns()
         for image in images:
             orb.detectAndCompute(image, None)
-        return (time.thread_time_ns() - start_ns) * 1e-6 / len(images)
+        return (cpu_ns() - start_ns) * 1e-6 / len(images)
     finally:
         cv2.setNumThreads(threads)
 

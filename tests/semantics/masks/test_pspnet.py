@@ -15,6 +15,7 @@ from stillroom.config import SlamConfig, with_overrides
 from stillroom.data.image import RgbdImage
 from stillroom.datasets.open import open_dataset
 from stillroom.errors import ConfigError, WeightsError
+from stillroom.presets.registry import configure
 from stillroom.semantics.masks.pspnet import SHIPPED, PspNetConfig
 from stillroom.semantics.masks.refine import RefineConfig
 from stillroom.semantics.masks.regions import RegionsConfig
@@ -70,7 +71,7 @@ def test_the_shipped_network_finds_nobody_on_a_wall(color: tuple[int, int, int])
     light = np.linspace(0.7, 1.1, 640)[None, :, None] * np.array(color)
     noisy = np.repeat(light, 480, axis=0) + np.random.default_rng(0).normal(0.0, 3.0, (480, 640, 3))
     wall = RgbdImage(0.0, np.clip(noisy, 0, 255).astype(np.uint8), np.ones((480, 640), np.float32), 0)
-    assert not PspNetConfig(input="320x240").build()(wall).has_any
+    assert not configure("pspnet-slam").semantics.build()(wall).has_any
 
 
 def test_it_plugs_in_by_name() -> None:
@@ -112,9 +113,9 @@ def test_neither_torch_nor_onnx_is_needed() -> None:
         "import sys; sys.modules['torch'] = None; sys.modules['onnx'] = None\n"
         "import numpy as np\n"
         "from stillroom.data.image import RgbdImage\n"
-        "from stillroom.semantics.masks.pspnet import PspNetConfig\n"
+        "from stillroom.presets.registry import configure\n"
         "image = RgbdImage(0, 0.0, np.zeros((240, 320, 3), np.uint8), np.ones((240, 320), np.float32))\n"
-        "assert not PspNetConfig(input='320x240').build()(image).has_any\n"
+        "assert not configure('pspnet-slam').semantics.build()(image).has_any\n"
     )
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert said.returncode == 0, said.stderr
@@ -148,7 +149,7 @@ def test_a_cat_is_no_person(shipped: Callable) -> None:
 def test_the_contract_on_real_frames(bonn: Path) -> None:
     sequence = open_dataset(str(bonn))
     images = [sequence.load(place) for place in range(300, 304)]
-    answers = check_segmenter(PspNetConfig(input="320x240").build, images)
+    answers = check_segmenter(configure("pspnet-slam").semantics.build, images)
     assert all(0.2 < answer.mask.mean() < 0.7 for answer in answers)  # two people near the camera
     sharp = PspNetConfig(**NETWORK_ALONE).build()(images[0])
     assert (sharp.mask != answers[0].mask).mean() < 0.08

@@ -12,6 +12,7 @@ import pytest
 from examples import people_example
 
 from stillroom.errors import ConfigError, MissingExtraError, WeightsError
+from stillroom.presets.registry import configure
 from stillroom.semantics.masks.pspnet import PspNetConfig
 from stillroom_train.pspnet.evaluate import Overlap, called_person, overlap
 from stillroom_train.pspnet.export.graph import Graph
@@ -185,7 +186,7 @@ def test_the_command_trains_resumes_and_exports(torch, tmp_path: Path, monkeypat
 
 
 def run(path: Path) -> np.ndarray:
-    network = PspNetConfig(model=path, input="320x240").build()._network
+    network = configure("pspnet-slam", overrides=[f"semantics.model={path}"]).semantics.build()._network
     return network.probabilities(people_example().rgb, 160, 120)
 
 

@@ -1,0 +1,78 @@
+"""What mkdocs is told beyond `mkdocs.yml`: pages from elsewhere in the repository, and the API of `import stillroom`.
+
+Pages are written for readers of the repository, so they link to files of it. Here such links become links of the site.
+"""
+
+import importlib
+import os
+import posixpath
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+from mkdocs.exceptions import PluginError
+from mkdocs.structure.files import File, Files
+from mkdocs.structure.pages import Page
+
+ROOT = Path(__file__).resolve().parents[1]
+ELSEWHERE = {
+    "CONTRIBUTING.md": "contributing.md",
+    "CHANGELOG.md": "changelog.md",
+    "README.md": "index.md",
+    "src/stillroom/semantics/weights/yolo_fastest.md": "cards/yolo_fastest.md",
+    "src/stillroom/semantics/weights/pspnet_mobilenetv2_voc.md": "cards/pspnet_mobilenetv2_voc.md",
+}
+"""Pages of the repository outside `docs/`, and where they are in the site; the README's place is the front page's."""
+IN_REPOSITORY = {site: repository for repository, site in ELSEWHERE.items() if site != "index.md"}
+LINK = re.compile(r"(!?)\[([^\]]*)\]\(([^()\s]+)\)")
+OF_ANOTHER_SITE = re.compile(r"[a-z][a-z0-9+.-]*:|#")
+FRONT_DOOR_MARK = "<!-- front door -->"
+
+
+def on_files(files: Files, config: Any) -> Files:
+    """Add the pages that lie elsewhere."""
+    for site, repository in IN_REPOSITORY.items():
+        files.append(File.generated(config, site, content=(ROOT / repository).read_text(encoding="utf-8")))
+    return files
+
+
+def on_page_markdown(markdown: str, page: Page, config: Any, files: Files) -> str:
+    """Return a page with its links turned to the site, and with the front door's API where it is asked for."""
+    site = page.file.src_uri
+    here = IN_REPOSITORY.get(site, f"docs/{site}")
+
+    def turned(link: re.Match[str]) -> str:
+        mark, text, target = link.groups()
+        if OF_ANOTHER_SITE.match(target):
+            return link[0]
+        path, _, anchor = target.partition("#")
+        place = posixpath.normpath(posixpath.join(posixpath.dirname(here), path))
+        if not (ROOT / place).exists():
+            raise PluginError(f"{here}: {target} leads nowhere")
+        there = ELSEWHERE.get(place) or (place.removeprefix("docs/") if place.startswith("docs/") else None)
+        if there is None:
+            return text  # a file of the repository that is no page
+        turned_path = posixpath.relpath(there, posixpath.dirname(site) or ".")
+        return f"{mark}[{text}]({turned_path}{'#' + anchor if anchor else ''})"
+
+    return LINK.sub(turned, markdown).replace(FRONT_DOOR_MARK, front_door())
+
+
+def front_door() -> str:
+    """Return mkdocstrings' lines for every name that `import stillroom` offers, in the order of `__all__`."""
+    return "\n\n".join(f"::: {place}\n    options:\n      heading: {name}" for name, place in offered().items())
+
+
+def offered() -> dict[str, str]:
+    """Return the names that `import stillroom` offers, and the full names of the classes and functions themselves."""
+    if str(ROOT / "src") not in sys.path:
+        sys.path.insert(0, str(ROOT / "src"))
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    stillroom = importlib.import_module("stillroom")
+    found = {}
+    for name in getattr(stillroom, "__all__", ()):
+        thing = getattr(stillroom, name)
+        if hasattr(thing, "__qualname__"):
+            found[f"stillroom.{name}"] = f"{thing.__module__}.{thing.__qualname__}"
+    return found

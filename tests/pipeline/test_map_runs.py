@@ -258,6 +258,7 @@ def test_mask_files_cannot_be_played_backwards(room: Dataset, tmp_path: Path) ->
         run(select(room, reverse=True), config, RunOptions(root=None, pictures=0))
 
 
+without_sigkill = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGKILL")
 KILLED = """
 import os, signal, sys, threading, time
 from pathlib import Path
@@ -339,6 +340,7 @@ def assert_survived(path: Path, committed: list[int], room: Dataset) -> None:
     assert not log_of(path).exists()
 
 
+@without_sigkill
 @pytest.mark.parametrize("moment", range(3))
 def test_a_map_survives_kill_9(moment: int, room: Dataset, tmp_path: Path) -> None:
     """In the middle of a transaction, and between two."""
@@ -349,6 +351,7 @@ def test_a_map_survives_kill_9(moment: int, room: Dataset, tmp_path: Path) -> No
     assert_survived(path, committed, room)
 
 
+@without_sigkill
 @pytest.mark.slow
 @pytest.mark.parametrize("moment", range(20))
 def test_a_map_survives_kill_9_at_any_time(moment: int, kept: Kept, room: Dataset, tmp_path: Path) -> None:

@@ -4,7 +4,7 @@ Pages are written for readers of the repository, so they link to files of it. He
 """
 
 import importlib
-import os
+import inspect
 import posixpath
 import re
 import sys
@@ -28,6 +28,8 @@ IN_REPOSITORY = {site: repository for repository, site in ELSEWHERE.items() if s
 LINK = re.compile(r"(!?)\[([^\]]*)\]\(([^()\s]+)\)")
 OF_ANOTHER_SITE = re.compile(r"[a-z][a-z0-9+.-]*:|#")
 FRONT_DOOR_MARK = "<!-- front door -->"
+DESCRIBED_HERE = "stillroom.session."
+"""Where the things are that have no page but the front door's."""
 
 
 def on_files(files: Files, config: Any) -> Files:
@@ -60,19 +62,24 @@ def on_page_markdown(markdown: str, page: Page, config: Any, files: Files) -> st
 
 
 def front_door() -> str:
-    """Return mkdocstrings' lines for every name that `import stillroom` offers, in the order of `__all__`."""
-    return "\n\n".join(f"::: {place}\n    options:\n      heading: {name}" for name, place in offered().items())
+    """Return a table of all that `import stillroom` offers, and below it what no other page of the API describes."""
+    rows, own = ["| name | what |", "|---|---|"], []
+    for name, (place, summary) in offered().items():
+        rows.append(f"| [`{name}`][{place}] | {summary} |")
+        if place.startswith(DESCRIBED_HERE):
+            own.append(f"::: {place}\n    options:\n      heading: {name}\n      toc_label: {name}")
+    return "\n".join(rows) + "\n\n" + "\n\n".join(own)
 
 
-def offered() -> dict[str, str]:
-    """Return the names that `import stillroom` offers, and the full names of the classes and functions themselves."""
+def offered() -> dict[str, tuple[str, str]]:
+    """Return the names that `import stillroom` offers: the full names of the things themselves, and what they are."""
     if str(ROOT / "src") not in sys.path:
         sys.path.insert(0, str(ROOT / "src"))
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     stillroom = importlib.import_module("stillroom")
     found = {}
     for name in getattr(stillroom, "__all__", ()):
         thing = getattr(stillroom, name)
         if hasattr(thing, "__qualname__"):
-            found[f"stillroom.{name}"] = f"{thing.__module__}.{thing.__qualname__}"
+            summary = (inspect.getdoc(thing) or "").split("\n\n")[0].replace("\n", " ").replace("|", "\\|")
+            found[f"stillroom.{name}"] = f"{thing.__module__}.{thing.__qualname__}", summary
     return found

@@ -28,8 +28,8 @@ from stillroom.config.kinds import SEGMENTERS, SIEVES
 from stillroom.datasets.camera_file import REQUIRED, read_camera
 from stillroom.datasets.open import open_dataset
 from stillroom.datasets.registry import PLUGINS as DATASETS
-from stillroom.methods.registry import PLUGINS as METHODS
-from stillroom.methods.registry import configure
+from stillroom.presets.registry import PLUGINS as METHODS
+from stillroom.presets.registry import configure
 
 ROOT = Path(__file__).parents[1]
 GROUPS = {group.group: group for group in (METHODS, DATASETS, SEGMENTERS, SIEVES, COMMANDS)}

@@ -104,7 +104,7 @@ def test_what_is_loaded_is_found() -> None:
 
 
 def test_all_that_the_package_offers_is_described(site: Path) -> None:
-    anchors = read((site / "api" / "index.html").read_text(encoding="utf-8")).anchors
+    anchors = set().union(*(read(path.read_text(encoding="utf-8")).anchors for path in site.glob("api/*.html")))
     spec = importlib.util.spec_from_file_location("site_hooks", ROOT / "docs" / "site_hooks.py")
     assert spec is not None
     assert spec.loader is not None
@@ -115,7 +115,10 @@ def test_all_that_the_package_offers_is_described(site: Path) -> None:
         name.removeprefix("stillroom.") for name in offered
     }
     assert "stillroom.Slam" in offered
-    assert [place for place in offered.values() if place not in anchors] == []
+    assert [place for place, _ in offered.values() if place not in anchors] == []
+    assert [name for name, (_, summary) in offered.items() if not summary] == []
+    front = (site / "api" / "index.html").read_text(encoding="utf-8")
+    assert [name for name in offered if f"<code>{name}</code>" not in front] == []
 
 
 @pytest.mark.parametrize(

@@ -61,6 +61,11 @@ def on_page_markdown(markdown: str, page: Page, config: Any, files: Files) -> st
     return LINK.sub(turned, markdown).replace(FRONT_DOOR_MARK, front_door())
 
 
+def on_page_content(html: str, page: Page, config: Any, files: Files) -> str:
+    """Return a page without the double colons that announce an example in a docstring."""
+    return html.replace("<p>::</p>", "").replace("::</p>", ":</p>")
+
+
 def front_door() -> str:
     """Return a table of all that `import stillroom` offers, and below it what no other page of the API describes."""
     rows, own = ["| name | what |", "|---|---|"], []

@@ -1,5 +1,6 @@
 """The pages are built strictly, ask the network for nothing, and name all that `import stillroom` offers."""
 
+import dataclasses
 import importlib.util
 import os
 import re
@@ -7,10 +8,14 @@ import subprocess
 import sys
 from html.parser import HTMLParser
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 import pytest
 
 import stillroom
+from stillroom.data.result import FrameResult
+from stillroom.system import System
 
 ROOT = Path(__file__).parents[1]
 pytest.importorskip("mkdocs", reason="mkdocs is not installed; pip install 'stillroom[docs]'")
@@ -96,6 +101,41 @@ def test_the_pages_ask_the_network_for_nothing(site: Path) -> None:
         assert not REMOTE_IN_STYLE.search(path.read_text(encoding="utf-8")), path.name
 
 
+def test_no_mark_of_a_docstring_is_left_in_the_text(site: Path) -> None:
+    for path in site.glob("**/*.html"):
+        assert "::</p>" not in path.read_text(encoding="utf-8"), path.name
+
+
+def module_of(path: Path) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_the_architecture_is_drawn_with_the_parts_of_the_system(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawing = module_of(ROOT / "docs" / "draw_architecture.py")
+    names: list[str] = []
+    draw_box = drawing.box
+
+    def noted(axes: Any, x: float, y: float, width: float, height: float, name: str, *rest: Any, **more: Any) -> None:
+        names.append(name)
+        draw_box(axes, x, y, width, height, name, *rest, **more)
+
+    monkeypatch.setattr(drawing, "box", noted)
+    drawing.main(tmp_path / "architecture.svg")
+    assert (tmp_path / "architecture.svg").read_text(encoding="utf-8").rstrip().endswith("</svg>")
+    parts = {name.replace(" ", "_") for name in names}
+    assert parts & {field.name for field in dataclasses.fields(System)} >= {
+        *("segmenter", "clusterer", "features", "mapper", "places", "joiner", "loop_closer", "map")
+    }
+    assert {"SIEVE_1", "SIEVE_2", "SIEVE_3", FrameResult.__name__} <= parts
+
+
 def test_what_is_loaded_is_found() -> None:
     page = read('<link rel="stylesheet" href="//x/y.css"><script src=https://z></script><a href="https://fine"></a>')
     assert [bool(REMOTE.match(address)) for address in page.addresses] == [True, True]
@@ -105,12 +145,7 @@ def test_what_is_loaded_is_found() -> None:
 
 def test_all_that_the_package_offers_is_described(site: Path) -> None:
     anchors = set().union(*(read(path.read_text(encoding="utf-8")).anchors for path in site.glob("api/*.html")))
-    spec = importlib.util.spec_from_file_location("site_hooks", ROOT / "docs" / "site_hooks.py")
-    assert spec is not None
-    assert spec.loader is not None
-    hooks = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(hooks)
-    offered = hooks.offered()
+    offered = module_of(ROOT / "docs" / "site_hooks.py").offered()
     assert {name for name in stillroom.__all__ if hasattr(getattr(stillroom, name), "__qualname__")} == {
         name.removeprefix("stillroom.") for name in offered
     }

@@ -13,6 +13,7 @@ import pytest
 from stillroom.data.trajectory import read_tum
 
 STILLROOM = [sys.executable, "-m", "stillroom.cli.main"]
+without_ctrl_c = pytest.mark.skipif(sys.platform == "win32", reason="Windows sends no SIGINT to another process")
 LIGHT = """
 import sys
 from stillroom.cli.main import COMMANDS, application
@@ -59,6 +60,7 @@ def test_one_thread_for_blas(tmp_path: Path) -> None:
     assert done.stdout.split()[-2:] == ["1", "1"]
 
 
+@without_ctrl_c
 def test_ctrl_c_keeps_everything_so_far(tmp_path: Path) -> None:
     arguments = ("run", "synthetic:walking", "--method", "orb-slam2", "--pictures", "2", "--out", "out")
     process = start(*arguments, folder=tmp_path)
@@ -82,6 +84,7 @@ def test_ctrl_c_keeps_everything_so_far(tmp_path: Path) -> None:
     assert "results: out" in out
 
 
+@without_ctrl_c
 def test_ctrl_c_twice_stops_at_once_and_still_writes(tmp_path: Path) -> None:
     arguments = ("run", "synthetic:walking", "--method", "orb-slam2", "--pictures", "0", "--out", "out")
     process = start(*arguments, folder=tmp_path)

@@ -1,7 +1,7 @@
 """Every data set keeps the socket's contract; and the contract notices when one does not."""
 
 import tarfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -140,6 +140,9 @@ class Broken:
     def __len__(self) -> int:
         return len(self._inner)
 
+    def __iter__(self) -> Iterator[RgbdImage]:
+        return (self.load(place) for place in range(len(self)))
+
     def load(self, index: int) -> RgbdImage:
         return self.spoil(self._inner.load(index))
 
@@ -150,6 +153,11 @@ class Broken:
 class BlueFirst(Broken):
     def spoil(self, image: RgbdImage) -> RgbdImage:
         return replace(image, rgb=np.ascontiguousarray(image.rgb[:, :, ::-1]))
+
+
+class Backwards(Broken):
+    def __iter__(self) -> Iterator[RgbdImage]:
+        return (self.load(place) for place in reversed(range(len(self))))
 
 
 class Millimetres(Broken):
@@ -276,6 +284,7 @@ class AtCameraAlone(Broken):
     ("broken", "said"),
     [
         (BlueFirst, "is it BGR"),
+        (Backwards, "iterating gives image"),
         (Millimetres, "is the depth factor right"),
         (DoubleDepth, "depth_m is float64"),
         (NanDepth, "NaN"),

@@ -70,7 +70,7 @@ def test_a_plain_reader_finds_the_same_voxels(cloud: DenseCloud, tmp_path: Path)
 
 
 def test_octomap_itself_finds_the_same_voxels(cloud: DenseCloud, tmp_path: Path) -> None:
-    pyoctomap = pytest.importorskip("pyoctomap")
+    pyoctomap = pytest.importorskip("pyoctomap", reason="pyoctomap is not installed")
     write_octomap(cloud, tmp_path / "map.bt")
     tree = pyoctomap.OcTree(1.0)
     assert tree.readBinary(str(tmp_path / "map.bt"))

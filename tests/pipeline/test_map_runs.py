@@ -254,6 +254,7 @@ def test_mask_files_cannot_be_played_backwards(room: Dataset, tmp_path: Path) ->
         run(select(room, reverse=True), config, RunOptions(root=None, pictures=0))
 
 
+without_sigkill = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGKILL")
 KILLED = """
 import os, signal, sys
 from pathlib import Path
@@ -340,6 +341,7 @@ def assert_survived(path: Path, committed: list[int], room: Dataset) -> None:
     assert not log_of(path).exists()
 
 
+@without_sigkill
 @pytest.mark.parametrize("moment", range(3))
 def test_a_map_survives_kill_9(moment: int, room: Dataset, tmp_path: Path) -> None:
     """In the middle of a transaction, and between two."""
@@ -356,6 +358,7 @@ def n_steps(tmp_path_factory: pytest.TempPathFactory) -> int:
     return int(attempt(tmp_path_factory.mktemp("whole") / "room.stillmap").stdout)
 
 
+@without_sigkill
 @pytest.mark.slow
 @pytest.mark.parametrize("moment", range(20))
 def test_a_map_survives_kill_9_within_any_statement(moment: int, n_steps: int, room: Dataset, tmp_path: Path) -> None:

@@ -2,7 +2,6 @@
 
 import csv
 import json
-import os
 import signal
 import tomllib
 import weakref
@@ -281,7 +280,7 @@ def test_ctrl_c_ends_the_run_and_keeps_what_there_is(room: Dataset, tmp_path: Pa
         def frame(self, result: FrameResult | None) -> None:
             self.n += 1
             if self.n == 9:
-                os.kill(os.getpid(), signal.SIGINT)
+                signal.raise_signal(signal.SIGINT)
 
         def finish(self) -> None:
             pass

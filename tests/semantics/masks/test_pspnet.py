@@ -114,7 +114,7 @@ def test_neither_torch_nor_onnx_is_needed() -> None:
         "import numpy as np\n"
         "from stillroom.data.image import RgbdImage\n"
         "from stillroom.presets.registry import configure\n"
-        "image = RgbdImage(0, 0.0, np.zeros((240, 320, 3), np.uint8), np.ones((240, 320), np.float32))\n"
+        "image = RgbdImage(0.0, np.zeros((240, 320, 3), np.uint8), np.ones((240, 320), np.float32))\n"
         "assert not configure('pspnet-slam').semantics.build()(image).has_any\n"
     )
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)

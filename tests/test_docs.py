@@ -130,7 +130,6 @@ def folder_for(tmp_path: Path, rendered_data: Path, monkeypatch: pytest.MonkeyPa
         monkeypatch.chdir(tmp_path)
         monkeypatch.syspath_prepend(tmp_path)
         monkeypatch.setenv("STILLROOM_DATA", str(rendered_data))
-        monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
         if page.path.name == "map-file.md":  # it reads a map that a run has left
             asked = ["run", f"synthetic:walking,frames={FEW}", "--method", "orb-slam2", "--map", "room.stillmap"]
             with pytest.raises(SystemExit, match="0"):

@@ -17,7 +17,7 @@ from stillroom.data.image import RgbdImage
 from stillroom.data.trajectory import Trajectory
 from stillroom.datasets.recording import DatasetView
 from stillroom.evaluation.report import percent
-from stillroom.evaluation.timing import FRAME, StageTime, peak_memory_mb
+from stillroom.evaluation.timing import FRAME, StageTime, peak_memory_mb, processor
 from stillroom.pipeline import SILENT, RunProgress
 from stillroom.pipeline.run import LOADING
 from stillroom.protocols import Dataset
@@ -90,7 +90,9 @@ class Speed:
     def sentences(self) -> list[str]:
         """Return what the rows must be read with."""
         return [
-            f"{self.method}: {self.units:.2f} units a frame on average ({self.units_by_wall:.2f} by the clock on the "
+            f"{self.method}: {self.frame.wall_mean_ms:.1f} ms a frame on average, "
+            f"{1000.0 / self.frame.wall_mean_ms:.1f} frames/s, one thread of: {processor()}",
+            f"that is {self.units:.2f} units a frame ({self.units_by_wall:.2f} by the clock on the "
             f"wall), over {self.n_frames} frames, {percent(self.coverage)} of them tracked; one unit is "
             f"{self.unit_cpu_ms:.1f} ms of CPU time here ({self.unit_wall_ms:.1f} ms on the wall)",
             f"peak memory of the process so far {self.peak_memory_mb:.0f} MB",

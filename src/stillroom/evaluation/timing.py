@@ -1,6 +1,7 @@
 """What each stage of a frame costs, and the unit that costs are quoted in."""
 
 import csv
+import platform
 import sys
 import threading
 import time
@@ -21,6 +22,7 @@ T = TypeVar("T")
 FRAME = "frame"
 """The stage that holds a whole frame: whoever runs frames wraps `process` in it."""
 
+PROCESSOR_INFO = Path("/proc/cpuinfo")
 PROCESS_STATUS = Path("/proc/self/status")
 """Where Linux says what a process holds."""
 
@@ -187,6 +189,16 @@ def unit_ms(images: Sequence[U8], cpu_ns: Callable[[], int] = time.thread_time_n
         return (cpu_ns() - start_ns) * 1e-6 / len(images)
     finally:
         cv2.setNumThreads(threads)
+
+
+def processor() -> str:
+    """Return the name of the processor, as the system has it."""
+    if PROCESSOR_INFO.exists():
+        for line in PROCESSOR_INFO.read_text(encoding="utf-8", errors="replace").splitlines():
+            name, _, value = line.partition(":")
+            if name.strip() == "model name":
+                return " ".join(value.split())
+    return platform.processor() or platform.machine()
 
 
 def peak_memory_mb() -> float:

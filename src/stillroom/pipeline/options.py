@@ -12,6 +12,7 @@ from stillroom.evaluation.report import Evaluation
 from stillroom.evaluation.timing import StageClock
 from stillroom.protocols import Dataset, RunObserver, Segmenter
 from stillroom.session.map_file import MapFile
+from stillroom.session.plausibility import Doubt
 from stillroom.system import System
 
 # What a run came to.
@@ -32,6 +33,7 @@ class RunOutcome:
         bad: Number and time [s] of each image that cannot be read.
         pictures: What was drawn.
         map_file: Where the map was kept; None where it was not.
+        doubts: What is probably wrong with calibration, depth or times; each was said in the log.
         masks: The folder that the moving pixels of each frame were written into; None where they were not.
     """
 
@@ -46,6 +48,7 @@ class RunOutcome:
     pictures: tuple[Path, ...] = ()
     map_file: Path | None = None
     masks: Path | None = None
+    doubts: list[Doubt] = field(default_factory=list)
 
     @property
     def n_bad(self) -> int:

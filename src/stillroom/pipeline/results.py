@@ -267,6 +267,7 @@ def _run_figures(outcome: RunOutcome) -> dict[str, Any]:
     tracked = [r for r in frames if r.T_world_cam is not None]
     return {
         "n_unreadable": outcome.n_bad,
+        "doubts": [str(doubt) for doubt in outcome.doubts],
         "interrupted": outcome.interrupted,
         "n_in_unjoined_submaps": outcome.n_apart,
         "n_submaps": len(submaps.unjoined(world)),

@@ -23,6 +23,7 @@ from stillroom.protocols import Dataset, RunObserver
 from stillroom.semantics.detector import withhold
 from stillroom.semantics.mask_files import MaskFilesConfig
 from stillroom.session.map_file import MapUse
+from stillroom.session.plausibility import doubts_of_figures
 from stillroom.session.slam import Slam
 from stillroom.system import segmenter_of
 from stillroom.viz.masks import MaskWriter
@@ -189,9 +190,8 @@ def run(
     )
     with StopRequest() as stop, slam:
         folder = _folder(dataset, slam.config, options)
-        outcome = RunOutcome(
-            config.method, folder, slam.system, slam.clock, map_file=slam.map_file, masks=options.masks
-        )
+        outcome = RunOutcome(config.method, folder, slam.system, slam.clock, doubts=slam.doubts)
+        outcome.map_file, outcome.masks = slam.map_file, options.masks
         if folder is not None:
             results.write_config(folder, dataset, slam.config, options)
         slam.observe(_recorder(folder, dataset, options.pictures))
@@ -250,6 +250,10 @@ def _concluded_in_any_case(
 def _conclude(outcome: RunOutcome, dataset: Dataset, with_plots: bool) -> None:
     trajectory, truth, folder = outcome.system.trajectory(), results.Truth.of(dataset), outcome.folder
     outcome.evaluation = evaluate_trajectory(trajectory, truth, outcome.n_given)
+    if outcome.evaluation is not None:
+        for doubt in doubts_of_figures(outcome.evaluation):
+            log.warning("%s", doubt)
+            outcome.doubts.append(doubt)
     if folder is None:
         return
     results.write_results(folder, outcome, truth)

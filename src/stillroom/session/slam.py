@@ -1,5 +1,6 @@
 """The front door: a method at work on one camera's images, from Python as from the command line."""
 
+import logging
 import weakref
 from collections.abc import Iterable
 from contextlib import ExitStack
@@ -23,9 +24,12 @@ from stillroom.presets.registry import configure
 from stillroom.protocols import RunObserver, Segmenter
 from stillroom.session import one_thread
 from stillroom.session.map_file import MapFile, MapUse, OpenedMap, opened_map, session_of
+from stillroom.session.plausibility import DepthRange, Doubt, doubts_of_camera, require_possible
 from stillroom.storage.schema import FrameNote, StoredMap
 from stillroom.storage.writer import save_map
 from stillroom.system import System, build
+
+log = logging.getLogger(__name__)
 
 
 class Slam:
@@ -47,6 +51,7 @@ class Slam:
         camera: The calibration of the images.
         clock: What the stages cost.
         system: The stages themselves, and the map that they share.
+        doubts: What is probably wrong with calibration or depth; each was said once in the log.
     """
 
     def __init__(
@@ -80,13 +85,17 @@ class Slam:
             ConfigError: A method, a key or a value is wrong.
             WeightsError: A network's weights are absent.
             MapError: The map file cannot be used so, or does not fit.
+            CalibrationError: No camera can have this calibration.
         """
+        require_possible(camera)
         file = None if map is None else MapFile(Path(map), _map_use(map_use))
         if file is None and _map_use(map_use) is not MapUse.NEW:
             raise ConfigError(f"map_use is '{map_use}', which needs a map: name its file")
         config = _configured(method, settings, seed)
         self.config = config if file is None else file.fitting(config)
         self.camera, self.clock = camera, StageClock()
+        self.doubts: list[Doubt] = []
+        self._depths = DepthRange(camera.depth_factor)
         self._sequence, self._observers, self._newest = sequence, list(observers), _Newest()
         self._n_given, self._last_s, self._is_open = 0, -np.inf, True
         with ExitStack() as opening:
@@ -102,10 +111,17 @@ class Slam:
             )
             opening.callback(weakref.finalize(self, one_thread.hold()))  # let go with the object at the latest
             self._opening = opening.pop_all()
+        self.doubt(doubts_of_camera(camera))
 
     def observe(self, observer: RunObserver) -> None:
         """Tell somebody of each frame from now on; what that costs is not counted as the frame's."""
         self._observers.append(observer)
+
+    def doubt(self, doubts: Iterable[Doubt]) -> None:
+        """Say what is probably wrong, and keep it."""
+        for each in doubts:
+            log.warning("%s", each)
+            self.doubts.append(each)
 
     def process(self, image: RgbdImage) -> FrameResult:
         """Track one image.
@@ -127,6 +143,7 @@ class Slam:
         if image.index < 0:
             image = replace(image, index=self._n_given)
         self._n_given, self._last_s = self._n_given + 1, image.timestamp_s
+        self.doubt(self._depths.add(image.depth_m))
         with self.clock.stage(FRAME):
             result = self.system.process(image)
         self.clock.next_frame(image.index)

@@ -5,6 +5,7 @@ A rule takes a source root, the folder that holds the packages, and returns its 
 """
 
 import ast
+import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -370,6 +371,15 @@ def test_the_source_keeps_the_rule(rule: Rule) -> None:
 def test_every_room_with_a_level_is_there_to_be_judged() -> None:
     missing = set(LEVELS) - {module.room for module in modules(SOURCE) if module.package == "stillroom"}
     assert not missing, f"rooms with a level but without a file: {sorted(missing)}"
+
+
+def test_the_quick_run_names_tests_that_are_there() -> None:
+    """A path that is left out may have moved, and nobody would hear of it."""
+    root = Path(__file__).parents[1]
+    text = (root / "scripts" / "test").read_text(encoding="utf-8")
+    named = re.findall(r"tests/[\w/.]+", text[text.index("QUICK=(") : text.index("\n)\n")])
+    assert len(named) > 20
+    assert [path for path in named if not (root / path).exists()] == []
 
 
 CLOCKS = {"time", "perf_counter", "monotonic", "process_time", "thread_time"}

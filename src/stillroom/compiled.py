@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import numba
+from numba.core import event
 
 from stillroom.data.locations import cache_folder
 from stillroom.errors import ConfigError
@@ -50,6 +51,28 @@ def njit(signature_or_function: Any = None, **options: Any) -> Any:
             return numba.njit(signature_or_function, **options | {"cache": is_there})(function)
 
     return decorate
+
+
+@contextmanager
+def said_when_compiling() -> Iterator[None]:
+    """Say once in a process, in the log, that a kernel is compiled while this is open: the first run takes minutes."""
+
+    class Listener(event.Listener):  # type: ignore[misc] # numba has no types
+        def on_start(self, started: Any) -> None:
+            module = started.data["dispatcher"].py_func.__module__
+            if module.partition(".")[0] == "stillroom":
+                _say_once()
+
+        def on_end(self, ended: Any) -> None:
+            pass
+
+    with event.install_listener("numba:compile", Listener()):
+        yield
+
+
+@functools.cache
+def _say_once() -> None:
+    logger.warning("compiling kernels, which takes a minute or two, once; 'stillroom warmup' does it beforehand")
 
 
 def kernel_cache() -> Path | None:

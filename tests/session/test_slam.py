@@ -276,3 +276,26 @@ def test_what_cannot_be_asked_is_said():
     slam.close()
     with pytest.raises(StillroomError, match="this Slam is closed"):
         slam.process(sr.RgbdImage(0.0, np.zeros((480, 640, 3), np.uint8), np.zeros((480, 640), np.float32)))
+
+
+def test_a_first_run_that_compiles_says_so_once_and_a_warm_one_is_silent(tmp_path):
+    code = """
+import logging, sys
+import numpy as np
+import stillroom as sr
+from stillroom.compiled import njit, said_when_compiling
+logging.basicConfig(stream=sys.stdout, format="%(message)s")
+
+def plus(a, b):
+    return a + b
+
+plus.__module__ = "stillroom.somewhere"
+kernel = njit(cache=False)(plus)
+for kinds in ((1, 2), (1.0, 2.0)):
+    with said_when_compiling():
+        kernel(*kinds)
+with said_when_compiling():
+    kernel(1, 2)
+"""
+    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert done.stdout.count("compiling kernels, which takes a minute or two, once; 'stillroom warmup'") == 1

@@ -3,13 +3,14 @@
 import logging
 import weakref
 from collections.abc import Iterable
-from contextlib import ExitStack
+from contextlib import ExitStack, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 
 import numpy as np
 
+from stillroom.compiled import said_when_compiling
 from stillroom.config import SlamConfig, with_overrides
 from stillroom.data.dense_cloud import DenseCloud
 from stillroom.data.image import RgbdImage
@@ -144,7 +145,8 @@ class Slam:
             image = replace(image, index=self._n_given)
         self._n_given, self._last_s = self._n_given + 1, image.timestamp_s
         self.doubt(self._depths.add(image.depth_m))
-        with self.clock.stage(FRAME):
+        is_first = len(self.system.results) == 0
+        with self.clock.stage(FRAME), said_when_compiling() if is_first else nullcontext():
             result = self.system.process(image)
         self.clock.next_frame(image.index)
         self._newest.show(self._observers)

@@ -8,7 +8,7 @@
     ├── DatasetError           a sequence that cannot be opened
     │   └── FrameError         one frame of it that cannot be read; a run continues without it
     ├── TrajectoryError        a trajectory or ground truth that cannot be read or compared
-    ├── MapError               a map that cannot be read, written, or turned into what was asked for
+    ├── MapError               a map that cannot be read, written or exported
     ├── WeightsError           a network's weights that are absent or not what they claim to be
     ├── VocabularyError        a vocabulary of places that is absent or not what it claims to be
     ├── DownloadError          a file that could not be fetched, or came with the wrong checksum

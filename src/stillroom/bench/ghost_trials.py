@@ -150,8 +150,8 @@ def stretches(dataset: Dataset, reference: str | None = None, mapped: str | None
     chosen = _range("map", mapped or f"{empty.stop}:", len(dataset))
     if max(empty.start, chosen.start) < min(empty.stop, chosen.stop):
         raise ConfigError(
-            f"map {chosen.start}:{chosen.stop} and reference {empty.start}:{empty.stop} overlap; what a map is compared "
-            "with must not have made it"
+            f"map {chosen.start}:{chosen.stop} and reference {empty.start}:{empty.stop} overlap; what a map is "
+            "compared with must not have made it"
         )
     return Stretches(empty, chosen)
 

@@ -54,9 +54,9 @@ class GeometryTrialConfig:
     repeats: int = 3
     picture_of: int | None = None
 
-    def build(self, system: System, seed: int) -> "GeometryOnlooker":
+    def build(self, system: System, seed: int) -> "GeometryObserver":
         """Return the observer of a system's run."""
-        return GeometryOnlooker(self, system, seed)
+        return GeometryObserver(self, system, seed)
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ class Shown:
     mask: Bool | None
 
 
-class GeometryOnlooker:
+class GeometryObserver:
     """Times both tests on each tracked image; at the tracked pose, so that neither depends on the run's own sieve.
 
     Attributes:
@@ -225,7 +225,7 @@ class MovingThings:
         return bits.reshape(height, width).view(np.bool_)
 
 
-class TruthOnlooker:
+class TruthObserver:
     """Compares the classification of a run with what truly moves.
 
     Attributes:

@@ -76,9 +76,7 @@ class Question:
         return stay >= min(MIN_MATCHES, len(self.matches)) or len(self.matches) < TRACKABLE
 
     def enough_of(self, motion: Motion) -> Motion:
-        """Return the motion; if it leaves too few matches, that of the semantics alone; if that does too, nothing is
-        dynamic.
-        """
+        """Return the motion; if it leaves too few matches, that of the semantics alone; if that does too, none."""
         if self.leaves_enough(motion):
             return motion
         masked = self.all_that_may_moves()

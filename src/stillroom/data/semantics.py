@@ -1,6 +1,4 @@
-"""What is potentially dynamic in an image: boxes with classes, instances with masks of their own, and the mask of
-all.
-"""
+"""What is potentially dynamic in an image: boxes, instances with a mask each, and one mask."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field

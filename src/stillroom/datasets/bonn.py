@@ -36,9 +36,7 @@ SCALED_T_MARKER_CAM = np.array(
 
 
 def marker_calibration() -> F64:
-    """Return `T_marker_cam` (4, 4): the published matrix with its scale divided out and its rotation
-    orthonormalised.
-    """
+    """Return `T_marker_cam` (4, 4): the published matrix without its scale, its rotation orthonormalised."""
     scale = float(np.cbrt(np.linalg.det(SCALED_T_MARKER_CAM[:3, :3])))
     unscaled = SCALED_T_MARKER_CAM.copy()
     unscaled[:3, :3] /= scale

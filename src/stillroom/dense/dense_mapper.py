@@ -255,9 +255,7 @@ class DenseMapper:
         return cloud, normals
 
     def _correct(self, most: int | None) -> None:
-        """Fuse again the views whose pose changed, the largest change first; without a limit, those of culled keyframes
-        too.
-        """
+        """Fuse again the views whose pose changed, the largest change first; without a limit, culled keyframes too."""
         tolerance_m = self.config.correction_m * (1.0 if most is None else PATIENCE)
         for view in self._views.moved(self.world, tolerance_m, with_culled=most is None)[:most]:
             T_world_cam = self._views.pose_now(view, self.world)

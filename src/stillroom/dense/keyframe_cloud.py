@@ -112,9 +112,7 @@ def _step(depth_m: F32, y: int, x: int, down: int, right: int, reach: int, toler
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def to_units(depth_m: F32, stride: int, unit_m: float, units: U16) -> None:
-    """Write depths (H, W) [m], subsampled by the stride, in units (h, w); 0 where it is unknown, impossible or too
-    large.
-    """
+    """Write depths (H, W) [m], at the stride, in units (h, w); 0 where unknown, impossible or too large."""
     for y in range(units.shape[0]):
         for x in range(units.shape[1]):
             value = depth_m[y * stride, x * stride] / unit_m + 0.5
@@ -251,9 +249,7 @@ def smoothed(depth: U16) -> U16:
 
 
 def in_units(depth_m: F32, stride: int) -> U16:
-    """Return depths [m], subsampled by the stride, in units of `UNIT_M`; 0 where it is unknown, impossible or too
-    large.
-    """
+    """Return depths [m], at the stride, in units of `UNIT_M`; 0 where unknown, impossible or too large."""
     height, width = depth_m.shape
     units: U16 = np.empty((-(-height // stride), -(-width // stride)), dtype=np.uint16)
     to_units(depth_m, stride, float(UNIT_M), units)

@@ -62,7 +62,7 @@ class GhostFigure:
 
 @dataclass(frozen=True)
 class CompletenessFigure:
-    """How much of a surface a map holds.
+    """How much of a surface a map covers.
 
     Attributes:
         n_points: Points of the surface.
@@ -103,7 +103,7 @@ class SurfaceFigure:
         return asdict(self)
 
 
-# How much of a surface a map holds.
+# How much of a surface a map covers.
 
 
 def completeness(points_m: Floats, surface_m: Floats, within_m: float = WITHIN_M) -> CompletenessFigure:

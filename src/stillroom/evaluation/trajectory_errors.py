@@ -263,9 +263,8 @@ def ate(estimate: Trajectory, groundtruth: Trajectory, max_gap_s: float = TUM_MA
 
 
 def still_camera_m(positions_m: F64) -> float:
-    """Return the ATE RMSE [m] of the static-pose baseline, a camera that never moved: the spread of the true positions
-    (N, 3) [m].
+    """Return the ATE RMSE [m] of the static-pose baseline: the spread of the true positions (N, 3) [m].
 
-    A single point is aligned with the mean of the true positions.
+    The baseline is a camera that never moved; its single position is aligned with the mean of the true ones.
     """
     return float(np.sqrt(np.mean(np.sum((positions_m - positions_m.mean(axis=0)) ** 2, axis=1))))

@@ -259,9 +259,7 @@ class Map:
         return np.flatnonzero(self.keyframes.is_alive)
 
     def remove_keyframe(self, keyframe: int) -> None:
-        """Cull a keyframe: its observations are removed, and frames that refer to it refer to its parent from now
-        on.
-        """
+        """Cull a keyframe: its observations are removed; frames that refer to it keep a pose by its parent."""
         parent = int(self.keyframes.parent[keyframe])
         T_world_parent = self.keyframe_pose(parent)
         T_world_cam = self.keyframes.T_world_cam[keyframe]
@@ -307,9 +305,7 @@ class Map:
         return ids
 
     def observe(self, point_ids: Ints, rows: Ints) -> int:
-        """Add observations of points (N,) by rows (N,); a keyframe observes a point at most once. Return how many were
-        added.
-        """
+        """Add observations of points (N,) by rows (N,); a keyframe observes a point once. Return their number."""
         table, points = self.keypoints, self.points
         points.is_unsaved[point_ids] = True
         self.keyframes.is_unsaved[table.keyframe[rows]] = True

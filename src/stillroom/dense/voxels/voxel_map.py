@@ -35,9 +35,7 @@ NEVER = -1
 
 @dataclass(frozen=True)
 class Placed:
-    """A keyframe's pixels (h, w), to be added to or subtracted from the map: keys, places in the voxels, world
-    normals.
-    """
+    """A keyframe's pixels (h, w), to be added to or subtracted from the map: keys, positions, normals."""
 
     cloud: KeyframeCloud
     keys: I64

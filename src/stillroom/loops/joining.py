@@ -73,8 +73,7 @@ class SubmapJoiner:
         self._after = tuple(after)
 
     def join(self, keyframe: int) -> bool:
-        """Check whether a keyframe shows a place of another sub-map; if so, merge the younger into the older.
-        """
+        """Check whether a keyframe shows a place of another sub-map; if so, merge the younger into the older."""
         table, index = self.world.keyframes, self.places.index
         if not self.config.enabled or self.world.n_submaps < 2 or keyframe not in index:
             return False

@@ -1,5 +1,4 @@
-"""Growing a vocabulary: k-majority clustering of descriptors, level by level, and the rarity (idf) of its words.
-"""
+"""Growing a vocabulary: k-majority clustering of descriptors, level by level, and the rarity (idf) of its words."""
 
 from collections import deque
 from collections.abc import Sequence

@@ -25,8 +25,8 @@ class Bounds:
 
     Attributes:
         least, most: Smallest and largest value.
-        above, below: Values that it must not reach.
-        one_of: All values there are.
+        above, below: Exclusive bounds.
+        one_of: The allowed values.
     """
 
     least: float | None = None
@@ -36,7 +36,7 @@ class Bounds:
     one_of: tuple[str, ...] = ()
 
     def problem(self, value: Any) -> str | None:
-        """Return what a value must be, in words, where it is not; None is no value and fits always."""
+        """Return what a value must be, in words, where it is not; None always fits."""
         if value is None:
             return None
         if isinstance(value, tuple | list):
@@ -91,11 +91,11 @@ def bounded(
 
 
 def check(config: Any, name: str = "", relations: bool = True) -> None:
-    """Make sure that a config, and those in it, are within their bounds.
+    """Check that a config, and those in it, are within their bounds.
 
     Args:
         config: A dataclass.
-        name: What its section is called, with dots; "" for a whole tree.
+        name: Dotted name of its section; "" for a whole tree.
         relations: Whether settings must not contradict each other; not yet, where more settings may still come.
 
     Raises:

@@ -2,7 +2,7 @@
 
 Numba has one folder for the whole process, `numba.config.CACHE_DIR`, and reads it when a function is decorated. It is
 set here only while a kernel of Stillroom is decorated, so that functions of others are cached where they were before.
-Where somebody else has set it, by `NUMBA_CACHE_DIR` or in `numba.config`, kernels are kept there.
+Where another program has set it, by `NUMBA_CACHE_DIR` or in `numba.config`, kernels are kept there.
 
 Where that folder cannot be made or written, the kernels that already lie in it are read, and others are compiled into a
 temporary folder that ends with the process.
@@ -36,7 +36,7 @@ _lock = threading.RLock()
 
 
 def njit(signature_or_function: Any = None, **options: Any) -> Any:
-    """Do as `numba.njit` does, with the same arguments, and keep the machine code in `kernel_cache()`.
+    """Compile like `numba.njit`, with the same arguments, and cache the machine code in `kernel_cache()`.
 
     Returns:
         The kernel where a function is given, else a decorator.
@@ -88,7 +88,7 @@ def is_kept() -> bool:
 
 @functools.cache
 def _our_folder() -> Path | None:
-    """Return the folder in the user's cache: that of the first question, for kernels are decorated once."""
+    """Return the folder in the user's cache, as of the first call, for kernels are decorated once."""
     try:
         return cache_folder() / _BELOW_CACHE
     except ConfigError:
@@ -97,7 +97,7 @@ def _our_folder() -> Path | None:
 
 @contextmanager
 def _cache_in_place() -> Iterator[bool]:
-    """Let numba cache where kernels are kept while this is open; give whether there is such a place."""
+    """Let numba cache where kernels are kept while this is open; yield whether there is such a folder."""
     with _lock:
         before = numba.config.CACHE_DIR
         folder = _working_folder(kernel_cache())
@@ -129,9 +129,9 @@ def _check_writable(folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     tempfile.TemporaryFile(dir=folder).close()
     for below in folder.iterdir():
-        # Numba makes a folder for each folder of sources; somebody else, such as root, may have made this one.
+        # Numba makes a folder for each folder of sources; another user, such as root, may have made this one.
         if below.is_dir() and not os.access(below, os.W_OK | os.X_OK):
-            raise PermissionError(f"{below.name} in it is somebody else's")
+            raise PermissionError(f"{below.name} in it belongs to another user")
 
 
 def _substitute(kept: Path | None, reason: str) -> Path | None:

@@ -1,4 +1,4 @@
-"""Fetching data sets and networks by name from their own addresses, checked by hash where one is known."""
+"""Download data sets and networks by name from their own addresses; checksums are verified where known."""
 
 import hashlib
 import http.client
@@ -28,14 +28,14 @@ Check = Callable[[Path], bool]
 
 
 class DownloadProgress(Protocol):
-    """Told how far a file has come; called often, so it should be quick."""
+    """Callback for the progress of a download; called often, so it should be quick."""
 
     def __call__(self, name: str, done_bytes: int, total_bytes: int | None) -> None:
-        """Take note that `done_bytes` of `total_bytes` (None where the server does not say) have come."""
+        """Report that `done_bytes` of `total_bytes` (None if unknown) are received."""
 
 
 def no_progress(name: str, done_bytes: int, total_bytes: int | None) -> None:
-    """Take note of nothing."""
+    """Ignore the progress."""
 
 
 def fetch(
@@ -45,19 +45,19 @@ def fetch(
     sha256: str | None = None,
     is_plausible: Check | None = None,
 ) -> Path:
-    """Fetch a file, going on where an earlier attempt broke off.
+    """Download a file; an interrupted download is resumed.
 
-    What has come so far lies in `<destination>.part`; `destination` appears only when it is complete and right.
+    A partial download is kept in `<destination>.part`; `destination` appears only when it is complete and verified.
 
     Args:
         address: The file's URL.
         destination: Where it shall lie. A file that lies there already and has the right checksum is kept.
-        progress: Told how far it has come.
+        progress: Callback for how far it has come.
         sha256: The checksum that it must have, in hexadecimal digits; unchecked where not given.
-        is_plausible: Tells of the fetched file whether it is of the right kind, where no checksum is known.
+        is_plausible: Returns whether the fetched file is of the right kind, where no checksum is known.
 
     Raises:
-        DownloadError: The server cannot be reached, the connection broke (run it again: it goes on from there),
+        DownloadError: The server cannot be reached, the connection broke (run it again: it is resumed),
             the file came with the wrong checksum or is no such file (it was removed), or it cannot be written.
     """
     if destination.is_file() and (sha256 is None or sha256_of(destination) == sha256):
@@ -100,7 +100,7 @@ def _receive(address: str, part: Path, name: str, progress: DownloadProgress) ->
             raise DownloadError(f"{address}: the server has no such file; is the name right?") from error
         raise DownloadError(f"{address}: the server answered {error.code} {error.reason}") from error
     with response:
-        # A server that does not know ranges answers 200 and sends everything; what we have is then of no use.
+        # A server without range support answers 200 and sends everything; the partial file is then discarded.
         start = have if response.status == http.HTTPStatus.PARTIAL_CONTENT else 0
         if start and not response.headers.get("Content-Range", "").startswith(f"bytes {start}-"):
             raise DownloadError(f"{address}: the server sent another part than was asked for; delete {part}")
@@ -114,11 +114,11 @@ def _receive(address: str, part: Path, name: str, progress: DownloadProgress) ->
                 done += len(chunk)
                 progress(name, done, total)
     if total is not None and done < total:
-        raise DownloadError(f"{address}: {_kept(part, total)}; run it again to go on from there")
+        raise DownloadError(f"{address}: {_kept(part, total)}; run it again to resume")
 
 
 def _after_the_end(address: str, part: Path, name: str, progress: DownloadProgress, content_range: str | None) -> None:
-    """Deal with a part that reaches the file's end: it is whole, or it is of another file and starts again."""
+    """Handle a part that reaches the file's end: it is complete, or of another file and is fetched anew."""
     have = part.stat().st_size
     if content_range == f"bytes */{have}":
         progress(name, have, have)
@@ -167,7 +167,7 @@ OFFICIAL = Addresses()
 
 PSPNET_R50 = "pspnet-r50"
 PSPNET_R50_FILE = "pspnet_r50-d8_512x512_20k_voc12aug_20200617_101958-ed5dfbd9.pth"
-"""PSPNet on ResNet-50 v1c by OpenMMLab (Apache-2.0), trained on VOC2012-aug: what PSPNet-SLAM starts from."""
+"""PSPNet on ResNet-50 v1c by OpenMMLab (Apache-2.0), trained on VOC2012-aug: the initial weights of PSPNet-SLAM."""
 PSPNET_R50_MD5 = "c563f7683bab2a869fe095a9eb801f6c"
 PSPNET_R50_SHA256_BEGINS = "ed5dfbd9"
 
@@ -187,7 +187,7 @@ def download(
             `stillroom train pspnet --backbone resnet50`.
         folder: Where to put it. A TUM sequence stays the archive it is, which is read as it is; a Bonn sequence
             becomes a folder.
-        progress: Told how far each file has come.
+        progress: Callback for how far each file has come.
         addresses: Where to fetch from.
 
     Raises:

@@ -3,12 +3,12 @@
 ::
 
     StillroomError
-    ├── ConfigError            a key, a value or a combination of options that cannot be
+    ├── ConfigError            a key, a value or a combination of options that is not valid
     ├── CalibrationError       a camera that is unknown, incomplete or impossible
     ├── DatasetError           a sequence that cannot be opened
-    │   └── FrameError         one frame of it that cannot be read; a run goes on without it
+    │   └── FrameError         one frame of it that cannot be read; a run continues without it
     ├── TrajectoryError        a trajectory or ground truth that cannot be read or compared
-    ├── MapError               a map that cannot be read, written, or turned into what was asked for
+    ├── MapError               a map that cannot be read, written or exported
     ├── WeightsError           a network's weights that are absent or not what they claim to be
     ├── VocabularyError        a vocabulary of places that is absent or not what it claims to be
     ├── DownloadError          a file that could not be fetched, or came with the wrong checksum
@@ -43,7 +43,7 @@ class TrajectoryError(StillroomError):
 
 
 class MapError(StillroomError):
-    """A map cannot be read, written, or turned into what was asked for."""
+    """A map cannot be read, written or exported."""
 
 
 class WeightsError(StillroomError):
@@ -62,5 +62,5 @@ class MissingExtraError(StillroomError):
     """An optional library is not installed."""
 
     def __init__(self, library: str, extra: str) -> None:
-        """Name the missing library and the command that mends it."""
+        """Name the missing library and the command that installs it."""
         super().__init__(f"{library} is not installed: pip install 'stillroom[{extra}]'")

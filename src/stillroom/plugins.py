@@ -1,4 +1,4 @@
-"""What installed packages add: one group of entry points for each socket that is open to them.
+"""Plug-ins of installed packages: one group of entry points for each socket that accepts them.
 
 A package names what it adds in its `pyproject.toml`; `CONTRIBUTING.md` shows the lines of each group::
 
@@ -51,7 +51,7 @@ class PluginGroup(Generic[T]):
         return found
 
     def by_entry_name(self, own: Iterable[str]) -> dict[str, EntryPoint]:
-        """Return the entry points by their names, nothing of them imported yet.
+        """Return the entry points by their names, none imported yet.
 
         Args:
             own: Names of Stillroom's own.
@@ -74,7 +74,7 @@ class PluginGroup(Generic[T]):
         """
         try:
             offered: T = entry.load()
-        except Exception as error:  # a package of somebody else's may fail in any way when it is imported
+        except Exception as error:  # a foreign package may fail in any way when it is imported
             reason = " ".join(f"{type(error).__name__}: {error}".split())  # on one line
             raise ConfigError(
                 f"{_origin(entry)}: cannot be imported ({reason}); repair or uninstall that package"

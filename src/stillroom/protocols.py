@@ -1,22 +1,24 @@
-"""Every socket of the house on one page. A contribution is one file that fits one of them.
+"""All sockets (interfaces) of the package on one page. A contribution is one file that implements one of them.
 
 ===================  ===========================================================  =======================
-socket               question it answers                                          room
+socket               question it answers                                          package
 ===================  ===========================================================  =======================
 `Dataset`            what did the camera see, and when?                           `datasets`
-`Segmenter`          what may move in this image?                                 `semantics`
-`Clusterer`          what does the depth cloud of this image fall into?           `semantics`
+`Segmenter`          what is potentially dynamic in this image?                   `semantics`
+`Clusterer`          which clusters has the depth cloud of this image?            `semantics`
 `KeypointSieve`      which keypoints may tracking use? (sieve 1)                  `dynamics`
-`QuickTracking`      where is the camera, roughly, before tracking proper?        `tracking`
-`MatchSieve`         which matches, and which of the image, do move? (sieve 2)    `dynamics`
+`QuickTracking`      where is the camera, roughly? (low-cost tracking)            `tracking`
+`MatchSieve`         which keypoints and pixels are dynamic? (sieve 2)            `dynamics`
 `DenseMapping`       what does the room look like without what moves? (sieve 3)   `dense`
 `FeatureExtractor`   where are the corners, and what do they look like?           `features`
 `MapKeeping`         what is kept of the map beyond the run, as it grows?         `storage`
 `Schedule`           when, and on which thread, does a piece of work run?         `schedule.py`
-`RunObserver`        who looks on while frames are tracked?                       `viz`, `cli`
+`RunObserver`        what is done with each tracked frame, such as pictures?      `viz`, `cli`
 ===================  ===========================================================  =======================
 
-The sockets are structural: nothing inherits from them. `stillroom.testing` holds the contract of each.
+A *sieve* removes dynamic data, in the field's words: dynamic-feature rejection. Sieve 1 works on keypoints before
+tracking, sieve 2 on matches while tracking, sieve 3 on depth before the dense map. The sockets are structural: nothing
+inherits from them. `stillroom.testing` holds the contract of each.
 """
 
 from collections.abc import Callable, Iterator
@@ -101,7 +103,7 @@ class Dataset(Protocol):
 
 
 class SceneTruth(Protocol):
-    """What a renderer knows of a frame: its exact pose (4, 4) and depth (H, W) [m], and what each pixel shows."""
+    """The ground truth of a rendered frame: its exact pose (4, 4) and depth (H, W) [m], and object labels."""
 
     @property
     def T_world_cam(self) -> F64:
@@ -113,7 +115,7 @@ class SceneTruth(Protocol):
 
     @property
     def instance(self) -> U8:
-        """What each pixel shows (H, W) uint8: 0 what never moves."""
+        """The object that each pixel shows (H, W) uint8: 0 for what never moves."""
 
     @property
     def moving(self) -> Bool:
@@ -121,7 +123,7 @@ class SceneTruth(Protocol):
 
 
 class SceneRemains(Protocol):
-    """What of a rendered scene is static in the end."""
+    """The part of a rendered scene that is static in the end."""
 
     @property
     def patches_m(self) -> F64:
@@ -140,7 +142,7 @@ class KnownScene(Protocol):
     """A data set that was rendered, and whose scene is known; see `datasets.recording.rendered`."""
 
     def truth(self, index: int) -> SceneTruth:
-        """Return what the renderer knows of frame `index`."""
+        """Return the ground truth of frame `index`."""
 
     def remains(self, last: int = -1) -> SceneRemains:
         """Return what is static in the end, when frame `last` is the last."""
@@ -149,10 +151,10 @@ class KnownScene(Protocol):
         """Return the exact `T_world_cam` (4, 4) of frame `index`."""
 
     def handled(self, instance: U8) -> Bool:
-        """Return which pixels (H, W) show things that somebody moves, given what each shows."""
+        """Return which pixels (H, W) show objects that people move, given the object of each."""
 
     def without_people(self) -> Dataset | None:
-        """Return the same sequence without people; None where it would be another one without them."""
+        """Return the same sequence without people; None where people move the scene itself."""
 
 
 class RenderedDataset(KnownScene, Dataset, Protocol):
@@ -160,17 +162,17 @@ class RenderedDataset(KnownScene, Dataset, Protocol):
 
 
 class Segmenter(Protocol):
-    """Says what may move. May keep state over time: it is called once for each image, in order."""
+    """Finds what is potentially dynamic. May keep state over time: it is called once for each image, in order."""
 
     def __call__(self, image: RgbdImage) -> Semantics:
-        """Return boxes or a mask of what may move in the image."""
+        """Return boxes or a mask of what is potentially dynamic in the image."""
 
 
 class Clusterer(Protocol):
-    """Takes the depth cloud of an image apart. Called once for each image, in order."""
+    """Clusters the depth cloud of an image. Called once for each image, in order."""
 
     def __call__(self, image: RgbdImage, semantics: Pending[Semantics]) -> Semantics:
-        """Return the semantics with the clusters added; await what may move only where it helps."""
+        """Return the semantics with the clusters added; wait for the input semantics only where needed."""
 
 
 class Schedule(Protocol):
@@ -187,46 +189,46 @@ class FeatureExtractor(Protocol):
     """Finds keypoints."""
 
     def extract(self, image: RgbdImage) -> Frame:
-        """Return the frame of the image; zero keypoints on a black image is a fine answer."""
+        """Return the frame of the image; a black image may give zero keypoints."""
 
 
 class KeypointSieve(Protocol):
-    """Sieve 1: decides before tracking which keypoints tracking may use."""
+    """Sieve 1: chooses the keypoints for tracking, before tracking."""
 
     def __call__(self, frame: Frame, semantics: Pending[Semantics]) -> Frame:
-        """Return the frame with its `is_static` verdict."""
+        """Return the frame with its `is_static` set."""
 
 
 class MatchSieve(Protocol):
-    """Sieve 2: decides while tracking what does move.
+    """Sieve 2: classifies while tracking what is dynamic.
 
-    It is asked through `dynamics.asking`, which leads every sieve through its life: it is not asked while relocalizing,
-    and not heard where too few matches would be left. One with a memory is a `RememberingSieve` as well.
+    It is called through `dynamics.asking`, which manages its life cycle: it is not called while relocalizing, and its
+    result is ignored where too few matches would be left. One with a memory is a `RememberingSieve` as well.
     """
 
     def judge(self, question: Question) -> Motion:
-        """Judge the whole image: every keypoint, matched or not, and every pixel."""
+        """Classify the whole image: every keypoint, matched or not, and every pixel."""
 
 
 @runtime_checkable
 class RememberingSieve(MatchSieve, Protocol):
-    """A match sieve that remembers earlier frames."""
+    """A match sieve with a memory of earlier frames."""
 
     def remember(self, frame: Frame, T_cam_world: F64, keyframe: int) -> None:
-        """Take a frame into the memory; called once a frame, when tracking it is done. Lost frames are left out.
+        """Add a frame to the memory; called once a frame, after tracking. Lost frames are left out.
 
         Args:
-            frame: The frame; `judge` was asked about it before.
+            frame: The frame; `judge` was called for it before.
             T_cam_world: Its pose (4, 4).
             keyframe: Its id in the map where it became a keyframe; else −1.
         """
 
     def corrected(self, T_new_old: F64) -> None:
-        """Move what is remembered by a motion (4, 4) of the world's coordinates: the map was corrected at once."""
+        """Move stored poses by a motion (4, 4) of the world's coordinates: the map was corrected, as by a loop."""
 
 
 class QuickTracking(Protocol):
-    """Finds a pose before tracking proper, and asks sieve 2 under it (`Stage.LOW_COST`)."""
+    """Low-cost tracking: finds a pose before the other stages, and calls sieve 2 at it (`Stage.LOW_COST`)."""
 
     def localize(self, frame: Frame, last: Tracked, T_cam_world: F64, semantics: Pending[Semantics], world: Map) -> F64:
         """Return a pose (4, 4) for tracking to start from.
@@ -235,13 +237,13 @@ class QuickTracking(Protocol):
             frame: The present frame, after sieve 1.
             last: The last frame, its pose and points as known now.
             T_cam_world: The motion model's guess (4, 4).
-            semantics: What may move.
+            semantics: What is potentially dynamic.
             world: The map.
         """
 
 
 class Clock(Protocol):
-    """Lets a part have pieces of its work timed."""
+    """Times stages within a part."""
 
     def timed(self, name: str, function: Callable[P, T], /) -> Callable[P, T]:
         """Return the function, timed under a name."""
@@ -257,14 +259,14 @@ class NoClock:
 
 @dataclass(frozen=True)
 class Parts:
-    """What a part of a system is built of; every `build` of a config takes it.
+    """The context in which a part of a system is built; every `build` of a config takes it.
 
     Attributes:
         camera: The calibration of the images.
-        world: The map, which may hold what earlier runs left in it. A segmenter is built before the map of a run is
+        world: The map, which may contain earlier runs. A segmenter is built before the map of a run is
             opened and finds an empty one here.
-        seed: Where every random choice starts.
-        clock: Times pieces of the part's work.
+        seed: Seed of all random choices.
+        clock: Times stages within the part.
     """
 
     camera: Camera
@@ -274,7 +276,7 @@ class Parts:
 
 
 class DenseMapping(Protocol):
-    """Makes a dense map; sieve 3: what moves stays out of it, and what has moved is taken out again."""
+    """Makes a dense map; sieve 3: what is dynamic is not fused, and what has moved is removed again."""
 
     def integrate(self, keyframe: int, image: RgbdImage, excluded: Bool | None = None) -> None:
         """Fuse a new keyframe.
@@ -282,27 +284,27 @@ class DenseMapping(Protocol):
         Args:
             keyframe: Its id in the map, which knows where it is.
             image: Its image.
-            excluded: Pixels that move (H, W).
+            excluded: Dynamic pixels (H, W).
         """
 
     def carve(self, image: RgbdImage, T_world_cam: F64, excluded: Bool | None = None) -> None:
-        """Let a frame that is no keyframe tell what is free.
+        """Carve free space with a frame that is no keyframe.
 
         Args:
             image: Its image.
             T_world_cam: Its pose (4, 4).
-            excluded: Pixels that move (H, W).
+            excluded: Dynamic pixels (H, W).
         """
 
     def refresh(self) -> None:
-        """Follow the keyframes to where they are now."""
+        """Update the dense map to the corrected poses of the keyframes."""
 
     def cloud(self) -> DenseCloud | None:
         """Return the map as known now; None where none is made."""
 
 
 class MapKeeping(Protocol):
-    """Keeps the map beyond the run."""
+    """Stores the map beyond the run."""
 
     def keep(self, keyframe: int, image: RgbdImage, moving: Bool) -> None:
         """Write a keyframe, once the map around it is refined, and all that it changed.
@@ -310,15 +312,15 @@ class MapKeeping(Protocol):
         Args:
             keyframe: Its id in the map.
             image: Its image.
-            moving: Pixels that move (H, W).
+            moving: Dynamic pixels (H, W).
         """
 
     def note(self, result: FrameSummary) -> None:
-        """Take note of where a frame was; every frame is noted."""
+        """Record the pose of a frame; called for every frame."""
 
 
 class RunObserver(Protocol):
-    """Looks on: a viewer, a progress line, a recorder of pictures. Never changes what it sees."""
+    """An observer of a run: a viewer, a progress line, a recorder of pictures. Never changes what it gets."""
 
     def on_frame(self, tracked: Tracked, semantics: Semantics, result: FrameResult) -> None:
-        """Take note of a frame: all that tracking knew of it, and the light result that is kept."""
+        """Process a frame: all that tracking knows of it, and its result."""

@@ -1,4 +1,4 @@
-"""When submitted work runs. The papers' threads are a schedule, not a structure."""
+"""When submitted work runs. The threads of the papers are one possible schedule."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,12 +10,12 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Done(Generic[T]):
-    """An answer that is already there."""
+    """A result that is already available."""
 
     value: T
 
     def result(self) -> T:
-        """Return the answer."""
+        """Return the result."""
         return self.value
 
 
@@ -23,7 +23,7 @@ class InOrder:
     """Run work at once, on the caller's thread: the same input gives the same trajectory, byte for byte."""
 
     def submit(self, work: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Done[T]:
-        """Run the work now and return its answer."""
+        """Run the work now and return its result."""
         return Done(work(*args, **kwargs))
 
     def close(self) -> None:

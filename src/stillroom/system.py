@@ -66,28 +66,28 @@ class System:
 
     def process(self, image: RgbdImage) -> FrameResult:
         """Track one image; images come in order of time."""
-        semantics = self.schedule.submit(self.segmenter, image)  # what may move; awaited by the sieve that reads it
+        semantics = self.schedule.submit(self.segmenter, image)  # potentially dynamic; awaited by its readers
         semantics = self.schedule.submit(self.clusterer, image, semantics)  # the same, with clusters of the depth cloud
         frame = self.features.extract(image)
         frame = self.keypoint_sieve(frame, semantics)  # sieve 1
-        tracked = self.tracker.track(frame, semantics, self.map)  # sieve 2 inside: a pose, and what does move
+        tracked = self.tracker.track(frame, semantics, self.map)  # sieve 2 inside: a pose, and what is dynamic
         if tracked.lost:
             tracked = self.recovery.recover(tracked, semantics, self.map)
         keyframe = -1
         if self.keyframe_policy.wants(tracked, self.map):
             keyframe = self.mapper.insert(tracked)  # now: points from depth, from static keypoints only
             self.schedule.submit(self.mapper.refine, keyframe)  # later: triangulate, fuse, adjust, cull
-            self.schedule.submit(self.places.remember, keyframe)  # what it looks like; culled ones are forgotten
-            self.schedule.submit(self.joiner.join, keyframe)  # pieces of map become one where a place is recognised
-            self.schedule.submit(self.loop_closer.close, keyframe)  # a place seen again puts the whole map right
+            self.schedule.submit(self.places.remember, keyframe)  # place index; culled ones are removed
+            self.schedule.submit(self.joiner.join, keyframe)  # merge sub-maps where a place is recognised
+            self.schedule.submit(self.loop_closer.close, keyframe)  # correct the map where a place is seen again
             self.schedule.submit(self.keeper.keep, keyframe, image, tracked.motion.moving)  # on disk, where wanted
         self._map_densely(tracked, keyframe)
         return self._conclude(tracked, semantics, keyframe)
 
     def trajectory(self) -> Trajectory:
-        """Return the final poses: each frame on its reference keyframe, wherever that is now.
+        """Return the final poses: each frame relative to its reference keyframe's current pose.
 
-        Lost frames are left out, and those in sub-maps that were never joined with the main one.
+        Lost frames are left out, and those in sub-maps that were never merged with the main one.
         """
         placed = self._in_main()
         poses = [self._pose_now(result) for result in placed]
@@ -100,7 +100,7 @@ class System:
         return _trajectory([stamp for stamp, _ in placed], [pose for _, pose in placed])
 
     def keyframe_trajectory(self) -> Trajectory:
-        """Return the poses of this run's keyframes in the main sub-map; earlier runs have times of their own."""
+        """Return the poses of this run's keyframes in the main sub-map; those of earlier runs are left out."""
         keyframes = self.map.keyframes
         chosen = np.flatnonzero(keyframes.is_alive & (keyframes.submap == self.main_submap))
         chosen = chosen[chosen >= self.first_keyframe]
@@ -108,21 +108,21 @@ class System:
 
     @property
     def main_submap(self) -> int:
-        """The piece of the map that the trajectories lie in."""
+        """Id of the sub-map of the trajectories."""
         return submaps.main(self.map, self.first_keyframe)
 
     def apart(self) -> list[FrameSummary]:
-        """Return the frames that were tracked in sub-maps that are not joined with the main one."""
+        """Return the frames that were tracked in sub-maps that are not merged with the main one."""
         in_main = {result.index for result in self._in_main()}
         return [result for result in self.results if result.T_world_cam is not None and result.index not in in_main]
 
     def close(self) -> None:
-        """Finish the work that is still under way, and let the whole map come to rest."""
+        """Finish pending work, and optimise the whole map a last time."""
         self.schedule.submit(self.mapper.finish)
         self.schedule.close()
 
     def _map_densely(self, tracked: Tracked, keyframe: int) -> None:
-        """Hand the frame to the dense map (sieve 3): keyframes are fused, the others tell what is free."""
+        """Pass the frame to the dense map (sieve 3): keyframes are fused, other frames carve free space."""
         image, moving = tracked.frame.image, tracked.motion.moving
         if keyframe >= 0:
             self.schedule.submit(self.dense_mapper.integrate, keyframe, image, moving)
@@ -130,7 +130,7 @@ class System:
             self.schedule.submit(self.dense_mapper.carve, image, tracked.T_world_cam, moving)
 
     def _conclude(self, tracked: Tracked, semantics: Pending[Semantics], keyframe: int) -> FrameResult:
-        """Let tracker and sieve remember the frame, mapping included, and note what is worth keeping of it."""
+        """Store the frame in tracker and sieve, after mapping, and keep a summary of it."""
         if keyframe >= 0:
             tracked = replace(
                 tracked,
@@ -165,7 +165,7 @@ class System:
         return result
 
     def _in_main(self) -> list[FrameSummary]:
-        """Return the frames that have a pose in the main sub-map by now."""
+        """Return the frames that have a pose in the main sub-map."""
         main, submap = self.main_submap, self.map.keyframes.submap
         return [r for r in self.results if r.T_reference_cam is not None and submap[r.reference_keyframe] == main]
 
@@ -198,12 +198,12 @@ def build(
     Args:
         config: What it consists of.
         camera: The calibration of its images.
-        segmenter: Says what may move; the config's where not given.
-        schedule: When work runs; in order where not given.
-        observer: Who looks on; nobody where not given.
-        clock: Notes what the stages cost. `tracking` includes `dynamics`, sieve 2; `memory` is what that remembers.
-        world: The map of an earlier run to go on in; a new one where not given.
-        keeper: Keeps the map beyond the run; nobody does where not given.
+        segmenter: The segmenter; by default that of the config.
+        schedule: When work runs; in order by default.
+        observer: Called with every frame; none by default.
+        clock: Times the stages. `tracking` includes `dynamics`, sieve 2; `memory` is the update of that sieve's memory.
+        world: The map of an earlier run to extend; by default a new one.
+        keeper: Writes the map to disk; none by default.
 
     Raises:
         ConfigError: A value is impossible.
@@ -246,7 +246,7 @@ def build(
 
 
 def segmenter_of(config: SlamConfig, camera: Camera) -> Segmenter:
-    """Return the segmenter of a config on its own, for whoever must know early whether all that it needs is there.
+    """Return the segmenter of a config on its own, such as to check early for missing files.
 
     Raises:
         ConfigError, WeightsError: As `build`.

@@ -126,7 +126,7 @@ REQUESTS: dict[str, tuple[list[str], list[str]]] = {
         ["{room}", "--set", "semantics.kind=mask-files", "--set", "semantics.folder=masks"],
         ["masks"],
     ),
-    "truth where there is none": (["{room}", "--set", "semantics.kind=truth"], ["carries no truth"]),
+    "truth where there is none": (["{room}", "--set", "semantics.kind=truth"], ["has no ground truth"]),
     "a value that cannot be": (
         ["{room}", "--method", "oc-slam", "--set", "semantics.confidence=1.5"],
         ["'semantics.confidence' is 1.5; it must be above 0 and at most 1"],

@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from stillroom.bench.ablation import ablation
-from stillroom.bench.onlookers import MovingThings
+from stillroom.bench.observers import MovingThings
 from stillroom.cli.bench import app
 from stillroom.datasets.open import open_dataset
 from stillroom.presets.registry import configure

@@ -167,7 +167,7 @@ def test_run_ends_with_figures_and_the_place_of_the_results(stillroom: Callable)
     assert said.code == 0, said.err
     assert "ATE [m], SE(3)" in said.out
     assert "8 of 8 frames tracked (100.0 %)" in said.out
-    assert "a camera that never moved has ATE" in said.out
+    assert "static-pose baseline (a camera that never moved): ATE" in said.out
     last = said.out.splitlines()[-1]
     assert last.startswith("results: results/")
     assert (Path(last.removeprefix("results: ")) / "trajectory.tum").exists()

@@ -83,7 +83,7 @@ def test_the_list_says_what_their_help_says(stillroom: Callable) -> None:
 
 
 def test_a_second_word_leaves_the_first_command_alone(stillroom: Callable) -> None:
-    assert "Turn the dense map of a run into files" in flat(stillroom("export", "--help").out)
+    assert "Export the dense map of a run" in flat(stillroom("export", "--help").out)
     said = stillroom("export", "nowhere")
     assert (said.code, said.out) == (1, "")
     assert "nowhere" in said.errors[0]

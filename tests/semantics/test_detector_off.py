@@ -56,7 +56,7 @@ def test_withholding_takes_nothing_from_the_first_segmenter():
 
 @pytest.mark.parametrize("masks", [True, False])
 def test_truth_needs_rendered_images(masks):
-    with pytest.raises(ConfigError, match=r"image 3 carries no truth.*rendered sequences only") as caught:
+    with pytest.raises(ConfigError, match=r"image 3 has no ground truth.*rendered sequences only") as caught:
         TrueSemanticsConfig(masks=masks).build()(still(3, truth=False))
     assert "\n" not in str(caught.value)
 

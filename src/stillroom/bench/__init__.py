@@ -1,1 +1,1 @@
-"""How good, how fast, and whether the sieve earns its place: the logic behind `stillroom bench`."""
+"""Accuracy, speed and the benefit of rejecting dynamic features: the logic behind `stillroom bench`."""

@@ -1,4 +1,4 @@
-"""What the network, the geometry, the ants and the compensation are worth, each alone and together."""
+"""An ablation: what the network, the geometry, the ants and the compensation contribute, alone and together."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -6,7 +6,7 @@ from typing import Any
 
 from stillroom.bench.accuracy import NONE, Accuracy
 from stillroom.bench.accuracy import sentences as accuracy_sentences
-from stillroom.bench.onlookers import ANTS, EXHAUSTIVE, Count, MovingThings, TruthOnlooker
+from stillroom.bench.observers import ANTS, EXHAUSTIVE, Count, MovingThings, TruthObserver
 from stillroom.bench.trial import FrameAverages, attempt, poses_only
 from stillroom.config import SlamConfig
 from stillroom.config.kinds import ChainConfig
@@ -41,7 +41,7 @@ def homography_of(config: SlamConfig) -> CompensatedHomographyConfig:
 
 
 def ablation(preset: SlamConfig) -> dict[str, SlamConfig]:
-    """Return the configs by name, from a method's: they differ in who says what moves.
+    """Return the configs by name, from a method's: they differ in how dynamic features are found.
 
     The plain homography is RANSAC's answer; compensated, it has been refined (Eq. 11). Where the homography alone
     decides, as the paper has it, depth and pose explain nothing, and the image just before is compared with.
@@ -67,10 +67,10 @@ def ablation(preset: SlamConfig) -> dict[str, SlamConfig]:
 
 @dataclass(frozen=True)
 class Ablated:
-    """What came of one config; of several runs, the truth is counted over all."""
+    """The result of one config. Of several runs, the counts against the truth are summed over all."""
 
     accuracy: Accuracy
-    onlookers: tuple[TruthOnlooker, ...]
+    observers: tuple[TruthObserver, ...]
 
     def row(self) -> tuple[str, ...]:
         """Return the cells under `HEADER`; the coverage is the worst run's."""
@@ -84,7 +84,7 @@ class Ablated:
         )
 
     def shares(self) -> dict[str, float | None]:
-        """Return shares that were said to move, 0 to 1; None where there is no truth."""
+        """Return the shares that were classified as dynamic, 0 to 1; None without ground truth."""
         return {
             "moving_keypoints_found": self._share("moving"),
             "object_keypoints_found": self._share("handled"),
@@ -93,7 +93,7 @@ class Ablated:
         }
 
     def _share(self, name: str) -> float | None:
-        counts = [getattr(onlooker, name) for onlooker in self.onlookers]
+        counts = [getattr(observer, name) for observer in self.observers]
         return Count(sum(count.n for count in counts), sum(count.said for count in counts)).share
 
     def to_dict(self, baseline: "Ablated") -> dict[str, Any]:
@@ -113,40 +113,40 @@ def ablated(
 
     Args:
         dataset: The sequence.
-        name: What the config is called in the result.
+        name: Name of the config in the result.
         config: The config.
         runs: How many runs.
-        things: What truly moves; None where nobody knows.
-        progress: Told of each frame.
+        things: The true moving objects; None where they are unknown.
+        progress: Called for each frame.
 
     Raises:
         KeyboardInterrupt: The user stopped it.
         StillroomError: Something that a run needs is wrong.
     """
-    onlookers: list[TruthOnlooker] = []
+    observers: list[TruthObserver] = []
 
-    def observe(system: System) -> TruthOnlooker:
+    def observe(system: System) -> TruthObserver:
         assert things is not None, "asked only where the truth is known"
-        onlookers.append(TruthOnlooker(things))
-        return onlookers[-1]
+        observers.append(TruthObserver(things))
+        return observers[-1]
 
     trials = [
         attempt(dataset, poses_only(config), seed, progress, observe=None if things is None else observe)
         for seed in range(runs)
     ]
-    return Ablated(Accuracy(dataset.name, name, tuple(trials)), tuple(onlookers))
+    return Ablated(Accuracy(dataset.name, name, tuple(trials)), tuple(observers))
 
 
 def sentences(table: Sequence[Ablated]) -> list[str]:
-    """Return what the rows must be read with."""
+    """Return notes on how to read the rows."""
     lines = [
         *accuracy_sentences([row.accuracy for row in table]),
         "static kept: keypoints judged static per tracked frame",
     ]
-    if table[0].onlookers:
+    if table[0].observers:
         lines.append(
             "moving found, object found: share of the keypoints on all that moves, and on handled objects while they "
-            "move, that is told to move; its pixels: the same of the objects' pixels with a depth; wrong: share of the "
-            "keypoints clear of all that moves that is told to move"
+            "move, that is classified as dynamic; its pixels: the same of the objects' pixels with a depth; "
+            "wrong: share of the keypoints clear of all that moves that is classified as dynamic"
         )
     return lines

@@ -1,4 +1,4 @@
-"""How exact several methods are over several seeds. One run proves nothing (docs/reference.md#comparing-figures)."""
+"""The accuracy of several methods over several seeds. One run proves nothing (docs/reference.md#comparing-figures)."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -49,7 +49,7 @@ class Accuracy:
 
     @property
     def still_camera_m(self) -> float | None:
-        """ATE of a camera that never moved [m], over the poses of the first run."""
+        """ATE of the static-pose baseline [m], over the poses of the first run: a camera that never moved."""
         evaluation = self.trials[0].evaluation
         return None if evaluation is None else evaluation.as_given.still_camera_m
 
@@ -91,7 +91,7 @@ class Accuracy:
 
 
 def sentences(table: Sequence[Accuracy]) -> list[str]:
-    """Return, for one sequence, what the rows must be read with."""
+    """Return, for one sequence, notes on how to read the rows."""
     still = next((row.still_camera_m for row in table if row.still_camera_m is not None), None)
     n = len(table[0].trials)
     lines = [
@@ -100,4 +100,4 @@ def sentences(table: Sequence[Accuracy]) -> list[str]:
     ]
     if still is None:
         return [*lines, "without ground truth, or without enough poses, there is nothing to measure against"]
-    return [*lines, f"a camera that never moved has ATE {still:.4f} m"]
+    return [*lines, f"static-pose baseline (a camera that never moved): ATE {still:.4f} m"]

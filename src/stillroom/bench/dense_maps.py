@@ -1,4 +1,4 @@
-"""The dense map of a run, made twice at once: with and without the removal of what moves."""
+"""The dense map of a run, made twice in one pass: with and without removing dynamic points."""
 
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -39,18 +39,18 @@ HEADER = ("dense map", "points", "ghosts", "suspects", "complete", "error median
 NONE = "–"
 TRUTH_EVERY = 2
 TRUTH_REACH_M = 5.0
-"""Surfaces further from the camera are not asked for; the map need not hold them."""
+"""Surfaces further from the camera do not count; the map need not hold them."""
 WITH_REMOVAL, WITHOUT_REMOVAL = "with removal", "without"
 REFERENCE_VIEWS, MAPPED_VIEWS = 40, 80
-"""So many images of each stretch are asked, evenly spread."""
+"""Number of images that are compared in each stretch, evenly spread."""
 
 
 @dataclass(frozen=True)
 class DenseMaps:
-    """What a run leaves behind.
+    """The dense maps of a run.
 
     Attributes:
-        clouds: The maps by what was done about moving things, `WITH_REMOVAL` and `WITHOUT_REMOVAL`.
+        clouds: The maps by how dynamic points were treated, `WITH_REMOVAL` and `WITHOUT_REMOVAL`.
         T_world_cam: The final pose (4, 4) of each tracked image, by its number.
         n_given: Images that the run was given.
     """
@@ -65,14 +65,14 @@ def dense_maps(
 ) -> DenseMaps:
     """Run a method over a sequence and map some of its images.
 
-    Both maps are of the same keyframes with the same poses, and are told of the same moving pixels.
+    Both maps are of the same keyframes with the same poses, and get the same mask of dynamic pixels.
 
     Args:
         dataset: The sequence; all of it is tracked.
         config: The method.
         dense: The dense map.
         mapped: Numbers of the images that the maps are made of, and carved with; no other ever touches them.
-        progress: Told of each frame.
+        progress: Called for each frame.
 
     Raises:
         KeyboardInterrupt: The user stopped it: half a map has no figures to compare.
@@ -140,10 +140,10 @@ class MapFigures:
     """The figures of one map.
 
     Attributes:
-        name: What was done about moving things.
-        ghosts: What they left behind.
-        complete: How much of the room it holds.
-        surface: How exact the rest is; None on real data.
+        name: How dynamic points were treated.
+        ghosts: What is left of moving objects.
+        complete: How much of the room it covers.
+        surface: Surface error of the other points; None on real data.
     """
 
     name: str
@@ -168,14 +168,14 @@ class MapFigures:
         return {"map": self.name} | figures
 
 
-# Two ways to judge a dense map: by the renderer's truth, and by what earlier images saw of the empty room.
+# Two ways to evaluate a dense map: against the renderer's truth, and against earlier images of the empty room.
 
 
 class RealJudge:
-    """Holds maps against what earlier images of the same sequence saw of the empty room."""
+    """Compares maps with what earlier images of the same sequence saw of the empty room."""
 
     def __init__(self, dataset: Dataset, poses: dict[int, F64], reference: range, mapped: range) -> None:
-        """Load the images that are asked.
+        """Load the images to compare with.
 
         Args:
             dataset: The sequence.
@@ -198,7 +198,7 @@ class RealJudge:
         return MapFigures(name, ghosts, completeness(points_m, self._surface_m))
 
     def control(self) -> GhostFigure:
-        """Hold the later half of the empty room's images against the earlier: what the measure itself gets wrong."""
+        """Compare the later half of the empty room's images with the earlier: the error of the measure itself."""
         half = len(self._reference) // 2
         gatherer = Gatherer(self._camera)
         for view in self._reference[half:]:
@@ -206,7 +206,7 @@ class RealJudge:
         return ghosts_in_free_space(gatherer.points(), self._reference[:half], self._camera, self._config)
 
     def sentences(self) -> list[str]:
-        """Return what the rows must be read with."""
+        """Return notes on how to read the rows."""
         config, control = self._config, self.control()
         return [
             f"ghosts: points that at least {config.min_rays} of {len(self._reference)} images of the empty room look "
@@ -214,13 +214,13 @@ class RealJudge:
             "depth, and on which fewer than three see a surface; suspects: those that they look past, surface or not",
             f"complete: of the {len(self._surface_m)} places of the empty room's surface that the mapped images see "
             "again, those with a point of the map within 5 cm",
-            f"the empty room itself, its later images held against its earlier ones, has {control.share * 100:.2f} % "
+            f"the empty room itself, its later images compared with its earlier ones, has {control.share * 100:.2f} % "
             f"ghosts and {percent(control.n_suspects / max(1, control.n_points))} suspects",
         ]
 
 
 class TruthJudge:
-    """Holds maps of a rendered sequence against the renderer's truth."""
+    """Compares maps of a rendered sequence with the renderer's truth."""
 
     def __init__(self, room: RenderedDataset, poses: dict[int, F64], mapped: range) -> None:
         """Render the truth.
@@ -236,7 +236,7 @@ class TruthJudge:
         self._scene = true_scene(room, mapped)
         numbers = [number for number in poses if number in mapped]
         if not numbers:
-            raise TrajectoryError(f"{room.name}: none of the images to map was tracked; there is no map to judge")
+            raise TrajectoryError(f"{room.name}: none of the images to map was tracked; there is no map to evaluate")
         true_poses = np.stack([room.pose(number) for number in numbers])
         self._T_true_map = align_poses(np.stack([poses[number] for number in numbers]), true_poses)
 
@@ -247,7 +247,7 @@ class TruthJudge:
         return MapFigures(name, ghosts, completeness(points, self._scene.seen_m), surface)
 
     def sentences(self) -> list[str]:
-        """Return what the rows must be read with."""
+        """Return notes on how to read the rows."""
         return [
             "ghosts: points further than 5 cm from the true static surface, where something was that moved; suspects: "
             "further than that anywhere; astray: where nothing moved; error: of all points but ghosts; a thing that "
@@ -258,7 +258,7 @@ class TruthJudge:
 
 
 def true_scene(room: RenderedDataset, mapped: range) -> TrueScene:
-    """Gather what the renderer knows of the static surface and of what moved before it, over some of the images."""
+    """Collect the true static surface, and what moved in front of it, over some of the images."""
     remains = room.remains(mapped[-1])
     static, movers = Gatherer(room.camera), Gatherer(room.camera)
     for index in mapped[::TRUTH_EVERY]:
@@ -274,7 +274,7 @@ def _views(dataset: Dataset, poses: dict[int, F64], stretch: range, most: int) -
     tracked = [number for number in stretch if number in poses]
     if not tracked:
         raise TrajectoryError(
-            f"{dataset.name}: none of the images {stretch.start}:{stretch.stop} was tracked; there is nothing to judge"
+            f"{dataset.name}: none of the images {stretch.start}:{stretch.stop} was tracked; nothing to compare with"
         )
     places = np.unique(np.linspace(0, len(tracked) - 1, min(most, len(tracked))).astype(np.int64))
     views = []

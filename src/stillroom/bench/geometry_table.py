@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from stillroom.bench.onlookers import TESTS, GeometryOnlooker, GeometryTrialConfig, Shown
+from stillroom.bench.observers import TESTS, GeometryObserver, GeometryTrialConfig, Shown
 from stillroom.config import SlamConfig
 from stillroom.dense.no_dense_map import NoDenseMapConfig
 from stillroom.dynamics.ants.comparison import SearchComparison, total
@@ -31,7 +31,7 @@ SCALE = 1.5
 
 @dataclass(frozen=True)
 class GeometryTable:
-    """What the searches came to on a sequence.
+    """The results of the searches on a sequence.
 
     Attributes:
         sequence: Its name.
@@ -55,13 +55,13 @@ class GeometryTable:
         return rows
 
     def sentences(self) -> list[str]:
-        """Return what the rows must be read with."""
+        """Return notes on how to read the rows."""
         lines = []
         for test in TESTS:
             one = next((one for (of, _), one in self.sums.items() if of == test), None)
             if one is not None:
                 lines.append(
-                    f"{test}: {one.n_points / one.n_images:.0f} points an image, of which every point's test finds "
+                    f"{test}: {one.n_points / one.n_images:.0f} points an image, of which the exhaustive test finds "
                     f"{one.n_dynamic / one.n_images:.0f} to move; {one.test_s * 1e6:.2f} µs a point, all ways through "
                     "the same kernel"
                 )
@@ -74,7 +74,7 @@ class GeometryTable:
         ]
 
     def _verdict(self, test: str, search: str) -> str:
-        """Say in a sentence whether a search saves time."""
+        """Return in a sentence whether a search saves time."""
         one = self.sums[test, search]
         spared_ms = (one.n_points - one.n_tested) / one.n_images * one.test_s * 1e3
         own_ms = one.search_s / one.n_images * 1e3 - one.n_tested / one.n_images * one.test_s * 1e3
@@ -98,21 +98,21 @@ class GeometryTable:
 def geometry_table(
     dataset: Dataset, config: SlamConfig, trial: GeometryTrialConfig, progress: RunProgress = SILENT
 ) -> GeometryTable:
-    """Track a sequence, and put its images to both geometries. Kernels should be warm.
+    """Track a sequence, and run both geometries on its images. Kernels should be compiled.
 
     Args:
         dataset: The sequence.
         config: The method that tracks the camera.
-        trial: What is asked of each image.
-        progress: Told of each frame.
+        trial: What is measured on each image.
+        progress: Called for each frame.
 
     Raises:
         KeyboardInterrupt: The user stopped it.
         StillroomError: Something that the run needs is wrong, or no image could be compared.
     """
-    made: list[GeometryOnlooker] = []
+    made: list[GeometryObserver] = []
 
-    def observe(system: System) -> GeometryOnlooker:
+    def observe(system: System) -> GeometryObserver:
         made.append(trial.build(system, config.seed))
         return made[0]
 
@@ -158,7 +158,7 @@ def _row(test: str, search: str, one: SearchComparison) -> tuple[str, ...]:
     )
 
 
-# Four panels of one image: how it differs from an earlier one, plainly and compensated, what moves, the ants' way.
+# Four panels of one image: its difference from an earlier one, plain and compensated, what moves, the ants' path.
 
 
 def write_geometry_picture(path: Path, shown: Shown, camera: Camera) -> None:

@@ -26,7 +26,7 @@ from stillroom.protocols import Dataset, KnownScene
 from stillroom.viz.cloud.render import draw_dense_pair
 
 REFERENCE = "0:200"
-"""Where a real sequence shows the empty room, if nobody says otherwise: so it is in the Bonn stretch."""
+"""Default range in which a real sequence shows the empty room: that of the Bonn stretch."""
 
 
 __all__ = ["HEADER", "Ghosts", "Stretches", "ghosts", "stretches"]
@@ -34,10 +34,10 @@ __all__ = ["HEADER", "Ghosts", "Stretches", "ghosts", "stretches"]
 
 @dataclass(frozen=True)
 class Stretches:
-    """Which images serve for what.
+    """The images used as reference, and those that the map is made of.
 
     Attributes:
-        reference: Numbers of those that show the empty room; None where the renderer's truth serves instead.
+        reference: Numbers of those that show the empty room; None where the renderer's truth is used instead.
         mapped: Numbers of those that the map is made of.
     """
 
@@ -47,15 +47,15 @@ class Stretches:
 
 @dataclass(frozen=True)
 class Ghosts:
-    """What a method's dense map came to.
+    """The evaluation of a method's dense map.
 
     Attributes:
         sequence, method: Their names.
-        stretches: Which images served for what.
+        stretches: The images used.
         coverage: Share of the images with a pose, 0 to 1.
         maps: The figures with removal and without.
         made: The maps themselves.
-        notes: What they must be read with.
+        notes: How to read them.
     """
 
     sequence: str
@@ -67,7 +67,7 @@ class Ghosts:
     notes: tuple[str, ...]
 
     def sentences(self) -> list[str]:
-        """Return what the rows must be read with."""
+        """Return notes on how to read the rows."""
         by_name = {figures.name: figures.ghosts.share for figures in self.maps}
         mapped = self.stretches.mapped
         lines = [
@@ -103,18 +103,18 @@ class Ghosts:
 def ghosts(
     dataset: Dataset, name: str, config: SlamConfig, chosen: Stretches, progress: RunProgress = SILENT
 ) -> Ghosts:
-    """Run a method and judge its dense map, made with removal and without.
+    """Run a method and evaluate its dense map, made with removal and without.
 
     Args:
         dataset: The sequence, whole: its images are numbered from 0.
-        name: What the method is called in the result.
+        name: Name of the method in the result.
         config: The method.
-        chosen: Which images serve for what.
-        progress: Told of each frame.
+        chosen: The images to use.
+        progress: Called for each frame.
 
     Raises:
         KeyboardInterrupt: The user stopped it.
-        StillroomError: Something that the run needs is wrong, or nothing was tracked that could be judged.
+        StillroomError: Something that the run needs is wrong, or no image to be evaluated was tracked.
     """
     made = dense_maps(select(dataset, f":{chosen.mapped.stop}"), config, _dense_map_of(config), chosen.mapped, progress)
     judge: RealJudge | TruthJudge
@@ -133,12 +133,12 @@ def _dense_map_of(config: SlamConfig) -> DenseMapperConfig:
 
 
 def stretches(dataset: Dataset, reference: str | None = None, mapped: str | None = None) -> Stretches:
-    """Read which images serve for what.
+    """Return which images are the reference, and which the map is made of.
 
     Args:
         dataset: The sequence.
         reference: Those that show the empty room, `a:b`. Where not given: none for a rendered sequence, which is
-            judged by its truth, and `REFERENCE` for others.
+            compared with its truth, and `REFERENCE` for others.
         mapped: Those that the map is made of; where not given, all after the reference.
 
     Raises:
@@ -150,8 +150,8 @@ def stretches(dataset: Dataset, reference: str | None = None, mapped: str | None
     chosen = _range("map", mapped or f"{empty.stop}:", len(dataset))
     if max(empty.start, chosen.start) < min(empty.stop, chosen.stop):
         raise ConfigError(
-            f"map {chosen.start}:{chosen.stop} and reference {empty.start}:{empty.stop} overlap; what a map is judged "
-            "by must not have made it"
+            f"map {chosen.start}:{chosen.stop} and reference {empty.start}:{empty.stop} overlap; what a map is "
+            "compared with must not have made it"
         )
     return Stretches(empty, chosen)
 

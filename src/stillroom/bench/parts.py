@@ -1,4 +1,4 @@
-"""What boxes and clusters are worth, each alone and both together, and what is left when the detector fails."""
+"""What boxes and clusters contribute, each alone and both together, and what remains when the detector fails."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -50,7 +50,7 @@ def parts(preset: SlamConfig) -> dict[str, SlamConfig]:
 
 
 def every_second_second(dataset: Dataset, first: int) -> tuple[FrameRange, ...]:
-    """Return the ranges of image numbers that fill every second second from an image on; its own second is not one.
+    """Return the ranges of image numbers in every second second after an image, which itself is in none.
 
     Args:
         dataset: The sequence.
@@ -70,7 +70,7 @@ def every_second_second(dataset: Dataset, first: int) -> tuple[FrameRange, ...]:
 
 @dataclass(frozen=True)
 class Part:
-    """What came of one config."""
+    """The result of one config."""
 
     accuracy: Accuracy
 
@@ -81,7 +81,7 @@ class Part:
 
     @property
     def first_boxed(self) -> int | None:
-        """Number of the first image in which the first run was told of something that may move."""
+        """Number of the first image with something potentially dynamic, in the first run."""
         return self.accuracy.trials[0].first_boxed
 
     def row(self) -> tuple[str, ...]:
@@ -103,13 +103,13 @@ class Part:
 
 
 def sentences(table: Sequence[Part], withheld: Sequence[FrameRange]) -> list[str]:
-    """Return what the rows must be read with."""
+    """Return notes on how to read the rows."""
     kept = "static kept: keypoints judged static per tracked frame; in use: map points that agree with the pose there"
     lines = [*accuracy_sentences([part.accuracy for part in table]), kept]
     if withheld:
         n_images = sum(end - first for first, end in withheld)
         lines.append(
             f"{HALF}: every second second from image {withheld[0][0]} to {withheld[-1][1] - 1}, {n_images} images in "
-            "all, the method is told of no boxes, carried ones neither"
+            "all, the method gets no boxes, propagated ones neither"
         )
     return lines

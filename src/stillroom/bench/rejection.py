@@ -1,4 +1,4 @@
-"""What rejecting moving things is worth: the same detector, several ways of using what it says."""
+"""The benefit of rejecting dynamic features: the same detector, several ways of using its boxes."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -23,7 +23,7 @@ NO_REJECTION, WHOLE_BOXES, LITERAL, PRESET = "no rejection", "whole boxes", "the
 
 
 def ways(preset: SlamConfig) -> dict[str, SlamConfig]:
-    """Return the configs by name: they differ in the match sieve, and in the clusters that only some ask for."""
+    """Return the configs by name: they differ in the match sieve, and in the clusters that only some of them use."""
     boxes_only = replace(preset, clusters=NoClustersConfig())
     found = {
         NO_REJECTION: replace(boxes_only, dynamics=KeepAllConfig()),
@@ -37,19 +37,19 @@ def ways(preset: SlamConfig) -> dict[str, SlamConfig]:
 
 @dataclass(frozen=True)
 class Way:
-    """One way of rejecting, and what came of it."""
+    """One way of rejecting, and its result."""
 
     accuracy: Accuracy
 
     @property
     def boxed(self) -> FrameAverages | None:
-        """The frames with something movable, on average over the runs; None where there were none."""
+        """The frames with something potentially dynamic, on average over the runs; None where there were none."""
         return FrameAverages.over_runs([trial.boxed for trial in self.accuracy.trials])
 
     def more_kept_percent(self, other: "Way") -> float | None:
         """Return how many more static keypoints are kept than another way keeps [%], in frames that both tracked.
 
-        A way that loses the frames with the most people in them keeps many keypoints in those that are left to it.
+        A way that loses the frames with the most people in them keeps many keypoints in the others.
         """
         pairs = [
             (ours.kept[index], theirs.kept[index])
@@ -86,7 +86,7 @@ class Way:
 
 
 def sentences(table: Sequence[Way]) -> list[str]:
-    """Return what the rows must be read with."""
+    """Return notes on how to read the rows."""
     first = table[0].accuracy
     boxed = table[0].boxed
     n = len(first.trials)
@@ -97,7 +97,7 @@ def sentences(table: Sequence[Way]) -> list[str]:
         "tracked; in use: map points that agree with the pose there",
     ]
     if first.still_camera_m is not None:
-        lines.append(f"a camera that never moved has ATE {first.still_camera_m:.4f} m")
+        lines.append(f"static-pose baseline (a camera that never moved): ATE {first.still_camera_m:.4f} m")
     by_name = {way.accuracy.method: way for way in table}
     boxes = by_name.get(WHOLE_BOXES)
     ours = [by_name[name] for name in (WITHOUT_CLUSTERS, PRESET) if name in by_name]

@@ -1,7 +1,7 @@
-"""What a frame costs, in milliseconds and in units that hold across machines.
+"""The time per frame, in milliseconds and in units that are comparable across machines.
 
 One unit is one `cv2.ORB_create(1000).detectAndCompute` on the same frames in the same process. It is taken every few
-frames between the frames of the run, so that it sees the machine as the run sees it.
+frames between the frames of the run, so that both see the same load of the machine.
 """
 
 import time
@@ -25,20 +25,20 @@ from stillroom.protocols import Dataset
 HEADER = ("stage [ms]", "in frames", "wall median", "p95", "CPU median", "p95", "mean", "units", "units each")
 """Names of the columns of `Speed.rows`. Mean and units are of CPU time and over all frames.
 
-Units each are over the frames in which the stage ran: what a keyframe costs the stages that only keyframes have.
+Units each are over the frames in which the stage ran, such as the keyframes.
 """
 UNIT_EVERY = 10
 
 
 @dataclass(frozen=True)
 class Speed:
-    """What a method costs on a sequence.
+    """The run time of a method on a sequence.
 
     Attributes:
         method: Its name.
         n_frames: Frames that were given to the method.
-        coverage: Share of them that have a pose, 0 to 1: being lost is cheap.
-        unit_cpu_ms, unit_wall_ms: One unit, in CPU time of its thread and by the clock on the wall [ms].
+        coverage: Share of them that have a pose, 0 to 1; frames without one cost less.
+        unit_cpu_ms, unit_wall_ms: One unit, in CPU time of its thread and in wall time [ms].
         stages: What each stage cost, the most costly first; `frame` is all but reading the images.
         peak_memory_mb: The most memory that the process has held up to the end of the run [MB].
     """
@@ -63,7 +63,7 @@ class Speed:
 
     @property
     def units_by_wall(self) -> float:
-        """The same by the clock on the wall."""
+        """The same in wall time."""
         return self.frame.wall_mean_ms / self.unit_wall_ms
 
     def units_each(self, stage: StageTime) -> float:
@@ -88,13 +88,13 @@ class Speed:
         ]
 
     def sentences(self) -> list[str]:
-        """Return what the rows must be read with."""
+        """Return notes on how to read the rows."""
         return [
             f"{self.method}: {self.frame.wall_mean_ms:.1f} ms a frame on average, "
             f"{1000.0 / self.frame.wall_mean_ms:.1f} frames/s, one thread of: {processor()}",
-            f"that is {self.units:.2f} units a frame ({self.units_by_wall:.2f} by the clock on the "
-            f"wall), over {self.n_frames} frames, {percent(self.coverage)} of them tracked; one unit is "
-            f"{self.unit_cpu_ms:.1f} ms of CPU time here ({self.unit_wall_ms:.1f} ms on the wall)",
+            f"that is {self.units:.2f} units a frame ({self.units_by_wall:.2f} in wall "
+            f"time), over {self.n_frames} frames, {percent(self.coverage)} of them tracked; one unit is "
+            f"{self.unit_cpu_ms:.1f} ms of CPU time here ({self.unit_wall_ms:.1f} ms of wall time)",
             f"peak memory of the process so far {self.peak_memory_mb:.0f} MB",
         ]
 
@@ -104,13 +104,13 @@ class Speed:
 
 
 def speed(dataset: "UnitMeter", name: str, config: SlamConfig, progress: RunProgress = SILENT) -> Speed:
-    """Run a method over a sequence and take its time. Kernels should be warm.
+    """Run a method over a sequence and time it. Kernels should be compiled.
 
     Args:
         dataset: The sequence, with the meter in it.
-        name: What the method is called in the result.
+        name: Name of the method in the result.
         config: The method.
-        progress: Told of each frame.
+        progress: Called for each frame.
 
     Raises:
         KeyboardInterrupt: The user stopped it.
@@ -131,7 +131,7 @@ def speed(dataset: "UnitMeter", name: str, config: SlamConfig, progress: RunProg
 
 
 class UnitMeter(DatasetView):
-    """A sequence that takes the unit on every few of the images that it delivers."""
+    """A sequence that measures the unit on every few of the images that it delivers."""
 
     def __init__(self, inner: Dataset, every: int = UNIT_EVERY) -> None:
         super().__init__(inner)
@@ -148,7 +148,7 @@ class UnitMeter(DatasetView):
 
     @property
     def groundtruth(self) -> Trajectory | None:
-        """None: speed is asked, and the evaluation would only take time."""
+        """None: only speed is measured, and the evaluation would take time."""
         return None
 
     @property

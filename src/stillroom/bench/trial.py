@@ -1,4 +1,4 @@
-"""One run of a method on a sequence, kept for its figures only."""
+"""One run of a method on a sequence, for its figures only."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -61,13 +61,13 @@ class Trial:
     """The figures of one run.
 
     Attributes:
-        seed: Where its random choices started.
+        seed: Seed of its random choices.
         n_given, n_tracked: Frames given, and frames with a pose.
         evaluation: Figures against the ground truth; None where there is none, or nothing to compare.
         tracked: The tracked frames; None where there was none.
-        boxed: Those of them in which something may move; None where there was none.
-        first_boxed: Number of the first image in which something may move; None where there was none.
-        clock: What the stages cost.
+        boxed: Those of them with something potentially dynamic; None where there was none.
+        first_boxed: Number of the first image with something potentially dynamic; None where there was none.
+        clock: Times of the stages.
         kept: Keypoints judged static in each of the frames behind `boxed`, by the frame's number.
     """
 
@@ -133,11 +133,10 @@ def attempt(
     Args:
         dataset: The sequence.
         config: The method.
-        seed: Where its random choices start.
-        progress: Told of each frame.
-        withheld: Ranges of image numbers in which the method is told of nothing that may move; boxes that would be
-            carried on there are withheld too.
-        observe: Makes somebody who looks on, of the system that is run.
+        seed: Seed of its random choices.
+        progress: Called for each frame.
+        withheld: Ranges of image numbers in which the method gets no detections; propagated boxes are withheld too.
+        observe: Makes an observer of the system that is run.
 
     Raises:
         KeyboardInterrupt: The user stopped it: half a run has no figures to compare.
@@ -149,7 +148,7 @@ def attempt(
     outcome = run(dataset, replace(config, seed=seed), options, progress)
     if outcome.interrupted:
         raise KeyboardInterrupt
-    # A lost frame has no verdict worth counting: nothing was rejected there because nothing was tracked.
+    # Lost frames do not count: nothing was rejected there because nothing was tracked.
     tracked = [result for result in outcome.system.results if result.T_world_cam is not None]
     boxed = [result for result in tracked if result.index in noting.occupied]
     return Trial(
@@ -166,14 +165,14 @@ def attempt(
 
 
 class NotingSegmenter:
-    """Passes another segmenter's answers on and notes in which images something may move."""
+    """Returns another segmenter's result and records in which images something is potentially dynamic."""
 
     def __init__(self, inner: Segmenter) -> None:
         self._inner = inner
         self.occupied: set[int] = set()
 
     def __call__(self, image: RgbdImage) -> Semantics:
-        """Return the other's answer."""
+        """Return the other's result."""
         semantics = self._inner(image)
         if semantics.has_any:
             self.occupied.add(image.index)

@@ -21,7 +21,7 @@ ROOM = "synthetic:walking"
 BASELINE, METHOD = "orb-slam2", "oc-slam"
 N_PICTURES = 4
 INTERRUPTED = 130
-HEADER = ("method", "ATE [m]", "of a still camera's", "frames tracked", "improvement")
+HEADER = ("method", "ATE [m]", "of the baseline's", "frames tracked", "improvement")
 
 
 def demo(
@@ -53,7 +53,7 @@ def demo(
 
 
 def _render(dataset: Dataset, bar: FrameBar) -> None:
-    """Draw every frame once; the runs then read them from the cache."""
+    """Render every frame once; the runs then read them from the cache."""
     say(f"rendering {len(dataset)} frames of a room with people in it")
     bar.label = "rendering"
     bar.start(len(dataset))
@@ -66,12 +66,12 @@ def _render(dataset: Dataset, bar: FrameBar) -> None:
 
 
 def _track(dataset: Dataset, config: SlamConfig, options: RunOptions, bar: FrameBar) -> RunOutcome:
-    """Run a method, and leave where the user stops it."""
+    """Run a method, and exit when the user stops it."""
     say(f"tracking the camera with {config.method}")
     bar.label = config.method
     outcome = run(dataset, config, options, bar)
     if outcome.interrupted:
-        say(f"stopped; what there is by now lies in {outcome.folder}")
+        say(f"stopped; the results so far are in {outcome.folder}")
         raise typer.Exit(INTERRUPTED)
     return outcome
 
@@ -82,7 +82,9 @@ def _print_comparison(dataset: Dataset, baseline: RunOutcome, ours: RunOutcome) 
     print_lines(["", f"the camera's path through {dataset.name}"])
     print_table(HEADER, rows)
     if still_m is not None:
-        print_lines([f"ATE: RMSE after SE(3) alignment; a camera that never moved has {still_m:.4f} m here"])
+        print_lines(
+            [f"ATE: RMSE after SE(3) alignment; static-pose baseline (a camera that never moved): {still_m:.4f} m"]
+        )
 
 
 def _row(outcome: RunOutcome, baseline: RunOutcome) -> tuple[str, ...]:

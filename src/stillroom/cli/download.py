@@ -22,13 +22,13 @@ def download(
         typer.Option(
             "--to",
             metavar="FOLDER",
-            help="Where to put it; otherwise STILLROOM_DATA or STILLROOM_MODELS, or the cache.",
+            help="Target folder. \\[default: STILLROOM_DATA or STILLROOM_MODELS, else the cache]",
         ),
     ] = None,
 ) -> None:
     """Fetch a data set, or a network to train from.
 
-    An interrupted download goes on where it broke off. Checksums are compared where they are known. The networks that
+    An interrupted download is resumed. Checksums are verified where they are known. The networks that
     methods run with come with Stillroom; pspnet-r50 is what 'stillroom train pspnet --backbone resnet50' starts from.
 
     Names are those of the data sets, with or without their prefix:
@@ -43,7 +43,7 @@ def download(
         with _Bars(STDERR) as bars:
             place = fetch_target(target, folder, bars, OFFICIAL)
     except KeyboardInterrupt:
-        say("stopped; what has come is kept, the same command goes on from there")
+        say("stopped; the partial download is kept, the same command resumes it")
         raise typer.Exit(INTERRUPTED) from None
     print_lines([str(place)])
     if not is_network:

@@ -21,22 +21,22 @@ def evaluate(
         Path | None, typer.Option(metavar="FILE", help="Any trajectory in the TUM format, instead of a folder.")
     ] = None,
     groundtruth: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="The truth to compare the estimate with, in the TUM format.")
+        Path | None, typer.Option(metavar="FILE", help="The ground truth of the estimate, in the TUM format.")
     ] = None,
     sequence: Annotated[
-        str | None, typer.Option(metavar="SEQUENCE", help="The sequence whose truth it is, instead of a file.")
+        str | None, typer.Option(metavar="SEQUENCE", help="The sequence whose ground truth it is, instead of a file.")
     ] = None,
     baseline: Annotated[
-        Path | None, typer.Option(metavar="PATH", help="Another folder, or file, to tell the improvement over.")
+        Path | None, typer.Option(metavar="PATH", help="Another folder, or file, to report the improvement over.")
     ] = None,
     out: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Where figures and pictures of an estimate go.")
     ] = None,
     json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON; write nothing.")] = False,
 ) -> None:
-    """Say how good a trajectory is.
+    """Evaluate a trajectory: ATE and RPE.
 
-    ATE and RPE against the ground truth, and what a camera that never moved would have.
+    Against the ground truth, beside the static-pose baseline: a camera that never moved.
 
     Figures and pictures are written into the folder of the run.
 
@@ -91,9 +91,7 @@ def _truth(groundtruth: Path | None, sequence: str | None) -> "Truth":
     from stillroom.pipeline.results import Truth
 
     if (groundtruth is None) == (sequence is None):
-        raise ConfigError(
-            "--estimate needs the truth to compare with: one of --groundtruth FILE and --sequence SEQUENCE"
-        )
+        raise ConfigError("--estimate needs a ground truth: one of --groundtruth FILE and --sequence SEQUENCE")
     if groundtruth is not None:
         return Truth(read_tum(groundtruth))
     dataset = Source(str(sequence)).open()

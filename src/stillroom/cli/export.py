@@ -36,7 +36,7 @@ def export(
         typer.Option("--set", metavar="KEY=VALUE", help="Such as occupancy.resolution_m=0.1; repeatable."),
     ] = None,
 ) -> None:
-    """Turn the dense map of a run into files for other programs.
+    """Export the dense map of a run for other programs.
 
     Points as cloud.ply and cloud.pcd, a mesh as mesh.ply, a floor plan for robots as map.pgm and map.yaml, an octree as
     map.bt. 'export pspnet' and 'export yolo' make ONNX files of networks.
@@ -53,7 +53,7 @@ def export(
     show_log()
     names = chosen_formats(name for part in format_ or [ALL] for name in part.split(","))
     config = with_overrides(ExportConfig(), settings or ())
-    config.occupancy.build()  # now: values that contradict each other are told before anything is written
+    config.occupancy.build()  # now: contradicting values are reported before anything is written
     results = results_folder(folder or DEFAULT_FOLDER)
     if not (results / NAME).exists():
         shown = folder or DEFAULT_FOLDER
@@ -66,7 +66,7 @@ def export(
 
 
 def _write_each(cloud: "DenseCloud", names: tuple[str, ...], place: Path, config: "ExportConfig") -> bool:
-    """Write every format, whatever becomes of the others; tell whether all went well."""
+    """Write every format, even if others fail; return whether all succeeded."""
     from stillroom.cli.output import print_error, print_lines
     from stillroom.dense.export.formats import FORMATS
 

@@ -38,7 +38,7 @@ def inpaint(
         str | None, typer.Option(metavar="NAME|FILE", help="The calibration, where it is not the sequence's own.")
     ] = None,
     fps: Annotated[
-        float | None, typer.Option(metavar="N", help="Frame rate of a plain folder whose file names tell no times.")
+        float | None, typer.Option(metavar="N", help="Frame rate of a plain folder whose file names have no times.")
     ] = None,
     out: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Write into this new folder. \\[default: a new one in results/]")
@@ -46,11 +46,11 @@ def inpaint(
     settings: Settings = None,
     config: ConfigFile = None,
 ) -> None:
-    """Paint what moves out of a sequence, from what the last keyframes saw behind it.
+    """Remove what moves from the images, painted over by what the last keyframes saw behind it.
 
     Tracks the camera as 'run' does. Writes inpainted/inpainted_00042.png and so on, a video, and inpainting.png, which
-    shows some frames before and after. What nobody had seen by then stays black. On rendered people it says how near
-    what was painted comes to the room without them.
+    shows some frames before and after. Pixels that no keyframe had seen by then stay black. On rendered people it
+    reports the PSNR against the room without them.
 
         stillroom inpaint rgbd_bonn_crowd --frames 200:560
         stillroom inpaint synthetic:walking --set semantics.kind=truth --every 10
@@ -74,7 +74,7 @@ def _paint(chosen: "SlamConfig", source: "Source", wanted: "InpaintingRecorderCo
 
     show_log()
     dataset = source.open()
-    segmenter = segmenter_of(chosen, dataset.camera)  # now: what is absent is told before kernels are compiled
+    segmenter = segmenter_of(chosen, dataset.camera)  # now: a missing file is reported before kernels are compiled
     folder = chosen_folder(out) if out is not None else new_folder(Path("results"), chosen.method, dataset.name)
     say(f"{chosen.method} on {dataset.name}: {len(dataset)} images; camera: {dataset.camera_source}")
     ensure_warm(STDERR, rendered(dataset) is not None)

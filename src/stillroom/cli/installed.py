@@ -1,6 +1,6 @@
 """Commands that installed packages add, by entry points of the group `stillroom.commands`.
 
-The name of an entry point is what is typed, its value a function, or a Typer app for a command with commands of its
+The name of an entry point is the command, its value a function, or a Typer app for a command with commands of its
 own. A dot stands between two words: `train.pspnet` is `stillroom train pspnet`, and `export.pspnet` gives
 `stillroom export` a second word. The list of commands imports what entry points name, for their summaries; modules
 that hold commands import nothing heavy.
@@ -30,7 +30,7 @@ GROUP: PluginGroup[Any] = PluginGroup("stillroom.commands", "command", "a functi
 
 
 def installed(own: Iterable[str]) -> dict[str, BySecondWord]:
-    """Return the entry points by first and second word; nothing of them is imported.
+    """Return the entry points by first and second word; none is imported.
 
     Args:
         own: Names of Stillroom's own commands, with a dot between two words.
@@ -46,7 +46,7 @@ def installed(own: Iterable[str]) -> dict[str, BySecondWord]:
 
 
 def summary_of(commands: BySecondWord) -> str:
-    """Return what the list of commands says of those with one first word; of one that cannot be imported, why."""
+    """Return the summary of the commands with one first word; of one that cannot be imported, the error."""
     entries = [commands[ALONE]] if ALONE in commands else commands.values()
     return " ".join(map(_summary, entries))
 

@@ -1,4 +1,4 @@
-"""The commands of `stillroom`, its own and installed ones, and what becomes of an error.
+"""The commands of `stillroom`, its own and installed ones, and how errors are reported.
 
 Only the module of the command that is asked for is imported: `stillroom --help` answers at once.
 """
@@ -20,7 +20,9 @@ from stillroom.errors import StillroomError
 
 INTERRUPTED = 130
 ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
-"""numpy's BLAS reads these when it is imported. One thread: results repeat, and the cores are for the stages."""
+"""numpy's BLAS reads these when it is imported. One thread: results are repeatable, and the cores are left to the
+stages.
+"""
 
 
 @dataclass(frozen=True)
@@ -50,28 +52,28 @@ COMMANDS = (
         "Track a camera through a rendered room with people in it, by orb-slam2 and by oc-slam, and compare the two.",
     ),
     Command("run", "stillroom.cli.run:run", "Track the camera through a sequence."),
-    Command("evaluate", "stillroom.cli.evaluate:evaluate", "Say how good a trajectory is."),
+    Command("evaluate", "stillroom.cli.evaluate:evaluate", "Evaluate a trajectory: ATE and RPE."),
     Command(
         "inpaint",
         "stillroom.cli.inpaint:inpaint",
-        "Paint what moves out of a sequence, from what the last keyframes saw behind it.",
+        "Remove what moves from the images, painted over by what the last keyframes saw behind it.",
     ),
-    Command("export", "stillroom.cli.export:export", "Turn the dense map of a run into files for other programs."),
+    Command("export", "stillroom.cli.export:export", "Export the dense map of a run for other programs."),
     Command(
         "map",
         "stillroom.cli.map:app",
-        "Say what a map file holds, check it, and turn it into files for other programs.",
+        "Show what a map file holds, check it, and export it for other programs.",
     ),
     Command("methods", "stillroom.cli.describe:methods", "List the methods."),
     Command("show-config", "stillroom.cli.describe:show_config", "Print the configuration of a method as TOML."),
-    Command("bench", "stillroom.cli.bench:app", "Measure accuracy, the worth of rejection, speed, and ghosts."),
+    Command("bench", "stillroom.cli.bench:app", "Measure accuracy, the benefit of rejection, speed, and ghosts."),
     Command("download", "stillroom.cli.download:download", "Fetch a data set, or a network to train from."),
     Command("warmup", "stillroom.cli.warmup:warmup", "Compile all kernels now, so that the first run starts at once."),
 )
 
 
 def application(chosen: str | None = None, following: str | None = None) -> typer.Typer:
-    """Return the command line; the commands that are not chosen are there by name only.
+    """Return the command line; the commands that are not chosen are registered by name only.
 
     Args:
         chosen: The command.

@@ -16,7 +16,7 @@ MOST_SHOWN = 20
 
 
 def check(path: MapPath) -> None:
-    """Return whether a map file is whole.
+    """Check the consistency of a map file.
 
     Every observation's keyframe, point and keypoint must exist, every pose must be rigid, every number finite.
 
@@ -61,7 +61,7 @@ def export(
         Path | None, typer.Option(metavar="DIR", help="Write here. \\[default: a folder named like the map]")
     ] = None,
 ) -> None:
-    """Turn a map file into files for other programs.
+    """Export a map file for other programs.
 
     Poses of frames and keyframes as .tum, the sparse map as COLMAP's text model. Dense formats are made from the images
     of keyframes, which a map keeps where it was made with --set storage.images=true.
@@ -135,7 +135,7 @@ if TYPE_CHECKING:
 
 
 def info(path: MapPath) -> None:
-    """Say what a map file holds: the runs that made it, keyframes, points, camera.
+    """Show what a map file holds: the runs that made it, keyframes, points, camera.
 
     stillroom map info room.stillmap
     """
@@ -179,10 +179,10 @@ def _rows(stored: "StoredMap") -> list[tuple[str, ...]]:
     return rows
 
 
-# `stillroom map`: what a map file holds, whether it is whole, and what other programs can read of it.
+# `stillroom map`: show, check and export a map file.
 
 
-HELP = "Say what a map file holds, check it, and turn it into files for other programs."
+HELP = "Show what a map file holds, check it, and export it for other programs."
 
 app = typer.Typer(no_args_is_help=True, help=HELP)
 for command in (info, check, export):

@@ -50,7 +50,7 @@ def say(message: str) -> None:
 
 
 def show_log() -> None:
-    """Let the package's warnings appear on stderr, each as one line."""
+    """Print the package's warnings on stderr, each as one line."""
     logger = logging.getLogger("stillroom")
     if not any(isinstance(handler, _OneLine) for handler in logger.handlers):
         logger.addHandler(_OneLine(logging.WARNING))
@@ -88,7 +88,7 @@ def print_table(header: Sequence[str], table: Iterable[Sequence[str]], n_words: 
 
 
 def print_evaluation(evaluation: Evaluation) -> None:
-    """Print all figures of a trajectory, and what they must be read with."""
+    """Print all figures of a trajectory, and notes on how to read them."""
     narrow = STDOUT.width < FULL_WIDTH
     shown = [place for place, name in enumerate(HEADER) if not (narrow and name in LEFT_OUT_WHERE_NARROW)]
     table = [HEADER, *rows(evaluation)]
@@ -137,7 +137,7 @@ class RunBar:
         self._task = self._bar.add_task("starting", total=n_frames)
 
     def frame(self, result: FrameSummary | None) -> None:
-        """Move it on by a frame."""
+        """Advance it by a frame."""
         self._done += 1
         self._times_s.append(time.perf_counter())
         if self._console.is_terminal and self._task is not None:
@@ -147,7 +147,7 @@ class RunBar:
             self._console.print(text, highlight=False, soft_wrap=True)
 
     def finish(self) -> None:
-        """Leave it as it is."""
+        """Stop drawing; the bar stays."""
         self._bar.stop()
 
     def _text(self, result: FrameSummary | None, with_color: bool) -> str:
@@ -183,12 +183,12 @@ class FrameBar:
         self._bars.start()
 
     def frame(self, result: FrameSummary | None) -> None:
-        """Move it on by a frame."""
+        """Advance it by a frame."""
         if self._task is not None:
             self._bars.advance(self._task)
 
     def finish(self) -> None:
-        """Take it away."""
+        """Remove it."""
         self._bars.stop()
         if self._task is not None:
             self._bars.remove_task(self._task)

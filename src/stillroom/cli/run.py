@@ -21,15 +21,11 @@ Map = Annotated[
     Path | None,
     typer.Option("--map", metavar="FILE", help="Keep the map in this new file, such as room.stillmap, as it grows."),
 ]
-Continue = Annotated[
-    bool, typer.Option("--continue", help="Go on in the map of --map: begin by recognising the place.")
-]
-Localize = Annotated[
-    bool, typer.Option("--localize", help="Track against the map of --map as it is; nothing is written into it.")
-]
+Continue = Annotated[bool, typer.Option("--continue", help="Extend the map of --map; relocalize in it first.")]
+Localize = Annotated[bool, typer.Option("--localize", help="Localize in the map of --map, which stays unchanged.")]
 
 DetectorOff = Annotated[
-    list[str] | None, typer.Option(metavar="A:B", help="Let the detector find nothing in these; repeatable.")
+    list[str] | None, typer.Option(metavar="A:B", help="Disable the detector in these frames; repeatable.")
 ]
 ExportMasks = Annotated[
     Path | None,
@@ -44,13 +40,13 @@ def run(
     method: Method = None,
     frames: Annotated[str | None, typer.Option(metavar="A:B", help="Use these frames only, such as 200:560.")] = None,
     drop: Annotated[
-        list[str] | None, typer.Option(metavar="A:B", help="Take these frames out of the sequence; repeatable.")
+        list[str] | None, typer.Option(metavar="A:B", help="Drop these frames from the sequence; repeatable.")
     ] = None,
     blackout: Annotated[
         list[str] | None, typer.Option(metavar="A:B", help="Turn these frames black, without depth; repeatable.")
     ] = None,
     detector_off: DetectorOff = None,
-    reverse: Annotated[bool, typer.Option("--reverse", help="Play backwards what these leave.")] = False,
+    reverse: Annotated[bool, typer.Option("--reverse", help="Play the remaining frames backwards.")] = False,
     map_: Map = None,
     continue_: Continue = False,
     localize: Localize = False,
@@ -59,7 +55,7 @@ def run(
         str | None, typer.Option(metavar="NAME|FILE", help="The calibration, where it is not the sequence's own.")
     ] = None,
     fps: Annotated[
-        float | None, typer.Option(metavar="N", help="Frame rate of a plain folder whose file names tell no times.")
+        float | None, typer.Option(metavar="N", help="Frame rate of a plain folder whose file names have no times.")
     ] = None,
     out: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Write into this new folder. \\[default: a new one in results/]")
@@ -67,11 +63,12 @@ def run(
     settings: Settings = None,
     config: ConfigFile = None,
     export_masks: ExportMasks = None,
-    pictures: Annotated[int, typer.Option(min=0, metavar="N", help="How many frames to draw; 0: no pictures.")] = 8,
+    pictures: Annotated[int, typer.Option(min=0, metavar="N", help="How many frames to draw; 0: none.")] = 8,
 ) -> None:
     """Track the camera through a sequence.
 
-    Writes trajectory, figures and pictures into a folder in results/; Ctrl-C ends a run early and keeps what there is.
+    Writes trajectory, figures and pictures into a folder in results/; Ctrl-C ends a run early and keeps the results so
+    far.
 
     An archive is unpacked once into the user's cache and stays there until you delete it.
 
@@ -98,7 +95,7 @@ def run(
 
 
 def _map_file(path: Path | None, continue_: bool, localize: bool) -> "MapFile | None":
-    """Return what is to be done with which map file; one that cannot be used so is told now."""
+    """Return the map file and its mode; an unusable one is reported now."""
     from stillroom.session.map_file import MapFile, MapUse
 
     if path is None:
@@ -107,7 +104,7 @@ def _map_file(path: Path | None, continue_: bool, localize: bool) -> "MapFile | 
             raise ConfigError(f"{flag} needs a map: name its file with --map")
         return None
     if continue_ and localize:
-        raise ConfigError("--continue goes on in a map and --localize leaves it as it is; leave one of them out")
+        raise ConfigError("--continue extends a map and --localize leaves it unchanged; leave one of them out")
     map_file = MapFile(path, MapUse.CONTINUE if continue_ else MapUse.LOCALIZE if localize else MapUse.NEW)
     map_file.require_usable()
     return map_file
@@ -128,7 +125,7 @@ def _track(chosen: "SlamConfig", source: "Source", options: "RunOptions", detect
         options,
         folder=chosen_folder(options.folder) if options.folder is not None else None,
         detector_off=detector_ranges(detector_off, dataset),
-        segmenter=segmenter_of(chosen, dataset.camera),  # now: what is absent is told before kernels are compiled
+        segmenter=segmenter_of(chosen, dataset.camera),  # now: a missing file is reported before kernels are compiled
     )
     say(f"{chosen.method} on {dataset.name}: {len(dataset)} images; camera: {dataset.camera_source}")
     ensure_warm(STDERR, rendered(dataset) is not None)

@@ -24,7 +24,7 @@ def warmup() -> None:
 
 
 def ensure_warm(console: Console, renderer: bool = False) -> None:
-    """Compile the kernels, with a progress line, unless this machine has done so before.
+    """Compile the kernels, with a progress line, unless they are in the cache.
 
     Args:
         console: Where the line is shown.
@@ -35,7 +35,7 @@ def ensure_warm(console: Console, renderer: bool = False) -> None:
 
 
 def with_progress(console: Console, renderer: bool) -> WarmUp:
-    """Compile or load the kernels and show how far it is."""
+    """Compile or load the kernels, with a progress bar."""
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     if not console.is_terminal:
         console.print("loading kernels; those not compiled yet are, which takes a minute or two, once …")

@@ -1,4 +1,4 @@
-"""The configuration tree, the parts that fit its sockets, and how it is read, written and overridden."""
+"""The configuration tree, the kinds of parts that it can choose, and how it is read, written and overridden."""
 
 from stillroom.config.settings import read_toml, to_toml, updated, with_overrides
 from stillroom.config.tree import SlamConfig

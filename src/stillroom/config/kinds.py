@@ -1,4 +1,4 @@
-"""Which parts can stand in a socket of the configuration, and by what names they are called.
+"""The parts that a socket (interface) of the configuration can hold, by name.
 
 A part of your own needs no entry here: `kind = "my_package.my_module:MyConfig"` finds its config class by import, and
 an entry point of the groups `stillroom.segmenters` and `stillroom.sieves` (match sieves) gives it a name of its own.
@@ -55,45 +55,45 @@ SINGLE_SIEVES: Mapping[str, type[Any]] = {
 
 
 class SegmenterConfig(Protocol):
-    """The config of a part that says what may move; a frozen dataclass."""
+    """The config of a segmenter, which finds what is potentially dynamic; a frozen dataclass."""
 
     def build(self, parts: Parts) -> Segmenter:
         """Return the segmenter."""
 
 
 class ClustererConfig(Protocol):
-    """The config of a part that takes the depth cloud of an image apart; a frozen dataclass."""
+    """The config of a part that clusters the depth cloud of an image; a frozen dataclass."""
 
     def build(self, parts: Parts) -> Clusterer:
-        """Return the clusterer; its random choices start from the seed."""
+        """Return the clusterer; the seed initialises its random generator."""
 
 
 class KeypointSieveConfig(Protocol):
-    """The config of a part that says which keypoints tracking may use; a frozen dataclass."""
+    """The config of a keypoint sieve, which chooses the keypoints for tracking; a frozen dataclass."""
 
     def build(self, parts: Parts) -> KeypointSieve:
-        """Return the sieve; its random choices start from the seed."""
+        """Return the sieve; the seed initialises its random generator."""
 
 
 class DenseMappingConfig(Protocol):
     """The config of a part that makes a dense map; a frozen dataclass."""
 
     def build(self, parts: Parts) -> DenseMapping:
-        """Return the dense map of the map's keyframes; it may have pieces of its work timed."""
+        """Return the dense map of the map's keyframes; the clock may time its stages."""
 
 
 class MatchSieveConfig(Protocol):
-    """The config of a part that says what does move; a frozen dataclass."""
+    """The config of a match sieve, which finds what is dynamic; a frozen dataclass."""
 
     def build(self, parts: Parts) -> MatchSieve:
-        """Return the sieve; its random choices start from the seed."""
+        """Return the sieve; the seed initialises its random generator."""
 
 
 class QuickTrackingConfig(Protocol):
     """The config of a part that finds a quick pose before tracking proper; a frozen dataclass."""
 
     def build(self, parts: Parts, sieve: MatchSieve) -> QuickTracking:
-        """Return the part; it asks the sieve under the pose that it finds."""
+        """Return the part; it calls the sieve with the pose that it finds."""
 
 
 def _is_part(found: object) -> bool:
@@ -130,7 +130,7 @@ class Kinds:
         """Return the config class of a kind, or of `module:Class`.
 
         Raises:
-            ConfigError: There is none, or an installed package offers what cannot be used.
+            ConfigError: There is none, or an installed package offers an unusable object.
         """
         installed = self._installed()
         if kind in self.classes:
@@ -147,8 +147,8 @@ class Kinds:
         """Return the kind of a config.
 
         Raises:
-            ConfigError: An installed package takes a name that is taken, or one whose module is loaded offers what
-                cannot be used.
+            ConfigError: An installed package takes a name that is taken, or one whose module is loaded offers an
+                unusable object.
         """
         own = type(config)
         for kind, known in self.classes.items():
@@ -201,10 +201,10 @@ DENSE = Kinds("dense", {"nothing": NoDenseMapConfig, "voxels": DenseMapperConfig
 
 @dataclass(frozen=True)
 class ChainConfig:
-    """Two sieves in one socket: what either of them finds to move, moves.
+    """Two sieves in one socket: what either of them finds dynamic is dynamic.
 
     Attributes:
-        first: The one that is trusted more; `kind` chooses the part.
+        first: The first; `kind` chooses the part.
         second: The other one; with `kind = "keep-all"` it adds nothing.
     """
 

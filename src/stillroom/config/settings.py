@@ -31,7 +31,7 @@ WORDS: dict[object, str] = {
 C = TypeVar("C")
 log = logging.getLogger(__name__)
 RETIRED: Mapping[str, str] = {
-    r"dynamics(\.\w+)?\.min_matches": "how many matches a verdict must leave is the same for all sieves now",
+    r"dynamics(\.\w+)?\.min_matches": "how many matches a sieve must leave is the same for all sieves now",
     r"semantics=yolo-fastest\.folder": "YOLO-Fastest comes with Stillroom; convert a network of your own with "
     "'stillroom export yolo' and set semantics.model to the file",
     r"semantics=onnx-boxes\.darknet_cfg": "the ONNX file names its anchors; make it with 'stillroom export yolo'",
@@ -65,7 +65,7 @@ def scalar(value: object) -> str:
         return f"[{', '.join(scalar(item) for item in value)}]"
     text = "" if value is None else str(value) if isinstance(value, str | Path) else None
     if text is None:
-        raise TypeError(f"{type(value).__name__} has no place in a TOML file")
+        raise TypeError(f"{type(value).__name__} cannot be written as TOML")
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
@@ -215,7 +215,7 @@ def updated(config: C, values: Mapping[str, Any], source: str = "") -> C:
     Args:
         config: The tree.
         values: Nested mappings.
-        source: Where they come from, such as a file; stands before the message of an error.
+        source: Their source, such as a file; prefix of error messages.
 
     Raises:
         ConfigError: A key is unknown (the message names the nearest), or a value has the wrong type.
@@ -283,7 +283,7 @@ def _updated(config: Any, values: Mapping[str, Any], path: tuple[str, ...], kind
 
 
 def _is_retired(name: str, name_with_kind: str) -> bool:
-    """Return whether a key was a setting once; that it is ignored is said in the log."""
+    """Return whether a key was a setting once; a warning says that it is ignored."""
     names = (name, name_with_kind)
     reason = next((why for pattern, why in RETIRED.items() if any(re.fullmatch(pattern, each) for each in names)), None)
     if reason is not None:
@@ -292,7 +292,7 @@ def _is_retired(name: str, name_with_kind: str) -> bool:
 
 
 def _plugged(kinds: Kinds, present: Any, values: Mapping[str, Any], path: tuple[str, ...]) -> Any:
-    """Return the config in a socket, of another class where `kind` says so."""
+    """Return the config in a socket, of another class where `kind` changes it."""
     if KIND in values:
         chosen = kinds.find(convert(values[KIND], str, ".".join((*path, KIND))))
         if chosen is not type(present):

@@ -1,6 +1,6 @@
 """The configuration of a whole system: one tree of frozen dataclasses.
 
-Reading, writing and overriding it lives in `settings`; this page only says what there is.
+Reading, writing and overriding it lives in `settings`; this module only declares it.
 """
 
 from dataclasses import dataclass, field
@@ -37,22 +37,23 @@ from stillroom.tracking.tracker import TrackerConfig
 
 @dataclass(frozen=True)
 class SlamConfig:
-    """Everything that a run depends on, beside its input.
+    """Everything that a run depends on, apart from its input.
 
     Attributes:
         method: Name of the preset that it started from.
-        seed: Where every random choice starts.
-        semantics: What may move; `kind` chooses the part (see `kinds`).
-        clusters: What the depth cloud of an image falls into; `kind` chooses the part.
+        seed: Seed of all random choices.
+        semantics: The segmenter: what is potentially dynamic; `kind` chooses the part (see `kinds`).
+        clusters: Clusters of an image's depth cloud; `kind` chooses the part.
         keypoints: Which keypoints tracking may use (sieve 1); `kind` chooses the part.
-        dynamics: What does move (sieve 2); `kind` chooses the part.
-        low_cost: A quick pose before tracking proper, for geometry to start from; `kind` chooses the part.
+        dynamics: What is dynamic (sieve 2); `kind` chooses the part.
+        low_cost: Low-cost tracking: a pose before the tracking stages, for geometry to start from; `kind` chooses the
+            part.
         features: Keypoints.
-        places: What keyframes look like, for recognising where the camera is.
+        places: The bag-of-words index of keyframes, for place recognition.
         tracking, recovery, keyframes, mapping, loops: ORB-SLAM2's parts.
-        joining: When pieces of map become one.
+        joining: When sub-maps are merged.
         dense: The dense map (sieve 3); `kind` chooses the part.
-        storage: What a map file keeps beside the map, where a run writes one.
+        storage: What a map file keeps in addition to the map, where a run writes one.
     """
 
     method: str = "orb-slam2"

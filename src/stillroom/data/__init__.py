@@ -1,1 +1,1 @@
-"""The nouns of the system: what the rooms hand to each other."""
+"""The data types that the packages pass to each other."""

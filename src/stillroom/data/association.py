@@ -1,4 +1,4 @@
-"""Which entries of two lists of times belong together."""
+"""Association of two lists of timestamps."""
 
 from bisect import bisect_left, insort
 
@@ -7,7 +7,7 @@ import numpy as np
 from stillroom.geometry.arrays import F64, I64
 
 TUM_MAX_GAP_S = 0.02
-"""The largest gap that TUM's tools let pass (docs/reference.md#tum-rgb-d-association)."""
+"""The largest gap that TUM's tools accept (docs/reference.md#tum-rgb-d-association)."""
 
 
 def associate(first_s: F64, second_s: F64, max_gap_s: float = TUM_MAX_GAP_S) -> tuple[I64, I64]:

@@ -1,4 +1,4 @@
-"""What the depth cloud of one image falls into: planes, and clusters of the rest."""
+"""The segmentation of one image's depth cloud: planes, and Euclidean clusters of the rest."""
 
 from dataclasses import dataclass, field
 

@@ -1,4 +1,4 @@
-"""The dense map as it leaves the house: coloured, oriented points, and the files that hold them."""
+"""The dense map as the system returns it: coloured, oriented points, and their file formats."""
 
 import zipfile
 import zlib
@@ -37,7 +37,7 @@ class DenseCloud:
         positions_m: Mean positions (N, 3) float32 [m, world].
         normals: Unit normals towards the cameras that saw them (N, 3) float32 [world].
         rgb: Mean colours (N, 3) uint8.
-        weight: How many pixels each is the mean of (N,) float32.
+        weight: Number of pixels that each point averages (N,) float32.
         voxel_m: Edge of the voxels [m].
     """
 
@@ -118,7 +118,7 @@ def load_cloud(path: Path) -> DenseCloud:
 
 
 def _check(path: Path, arrays: dict[str, Any], voxel_m: float) -> None:
-    """Refuse what later steps could not bear.
+    """Refuse arrays that later steps could not use.
 
     Raises:
         MapError: Naming the array.

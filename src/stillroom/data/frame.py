@@ -69,7 +69,7 @@ class Frame:
         camera: Its calibration.
         scales: The pyramid they were found on.
         keypoints: What was found.
-        is_static: Verdict of sieve 1 on each keypoint (N,); all true until a sieve has spoken.
+        is_static: Which keypoints (N,) sieve 1 classifies as static; all true before it is applied.
     """
 
     image: RgbdImage
@@ -88,5 +88,5 @@ class Frame:
         return self.image.timestamp_s
 
     def with_static(self, is_static: Bool) -> "Frame":
-        """Return the same frame with another verdict (N,) on its keypoints."""
+        """Return the same frame with another classification (N,) of its keypoints."""
         return replace(self, is_static=np.asarray(is_static, dtype=np.bool_))

@@ -23,7 +23,7 @@ class RgbdImage:
         depth_m: Depth (H, W) float32 [m] on the colour pixels; 0 where unknown.
         index: Place of the image in its sequence, from 0; `Slam.process` counts images that have none.
         name: Name of its colour file without folder and suffix; "" for an image that never was a file.
-        truth: What a renderer knows of the image (exact boxes and masks); None on real data.
+        truth: The renderer's exact boxes and masks; None on real data.
     """
 
     timestamp_s: float

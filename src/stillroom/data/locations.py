@@ -1,7 +1,7 @@
-"""Where Stillroom looks for models and sequences, and where it keeps what it may make again.
+"""Where Stillroom looks for models and sequences, and where it caches what can be made again.
 
-Models are sought in the folder named by `STILLROOM_MODELS`, then in `models` of the user's cache; sequences given by a
-bare name likewise, in `STILLROOM_DATA` and in `data` of the cache. The cache is the operating system's own:
+Models are looked up in the folder named by `STILLROOM_MODELS`, then in `models` of the user's cache; sequences given by
+a bare name likewise, in `STILLROOM_DATA` and in `data` of the cache. The cache is the operating system's own:
 `~/.cache/stillroom` on Linux (or under `XDG_CACHE_HOME`), `~/Library/Caches/stillroom` on macOS,
 `%LOCALAPPDATA%/stillroom/Cache` on Windows.
 """
@@ -49,12 +49,12 @@ def data_home() -> Path:
 
 
 def model_folders() -> list[Path]:
-    """Return the folders in which a model is sought by its bare name, in order; they need not exist."""
+    """Return the folders in which a model is looked up by its bare name, in order; they need not exist."""
     return _roots(MODELS)
 
 
 def data_folders() -> list[Path]:
-    """Return the folders in which a sequence is sought by its bare name, in order; they need not exist."""
+    """Return the folders in which a sequence is looked up by its bare name, in order; they need not exist."""
     return _roots(DATA)
 
 

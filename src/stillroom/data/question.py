@@ -1,4 +1,4 @@
-"""What a match sieve is asked."""
+"""The input of a match sieve."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,30 +14,30 @@ from stillroom.data.semantics import Semantics
 from stillroom.geometry.arrays import F64, Bool
 
 MIN_MATCHES = 40
-"""So many matches must stay under a verdict: tracking needs 30 that agree with the pose."""
+"""Number of matches that a sieve must leave: tracking needs 30 inliers of the pose."""
 
 TRACKABLE = 20
-"""With fewer matches than this tracking does not go on, whatever a sieve says of them."""
+"""With fewer matches than this a stage of tracking fails, whatever a sieve says."""
 
 T_co = TypeVar("T_co", covariant=True)
 
 
 class Pending(Protocol[T_co]):
-    """An answer that may still be in the making."""
+    """A result that may still be computed on another thread."""
 
     def result(self) -> T_co:
-        """Wait for the answer and return it; raise what the work raised."""
+        """Wait for the result and return it; raise the exception of the computation."""
 
 
 @dataclass(frozen=True)
 class Question:
-    """What moves in this image?
+    """The input of a match sieve: what is dynamic in this image?
 
     Attributes:
-        stage: When in tracking the question is put; thresholds may differ.
+        stage: The tracking stage; thresholds may differ.
         frame: The present frame, after sieve 1.
         matches: Its pairs with map points at this stage.
-        semantics: What may move; `known` waits for it.
+        semantics: What is potentially dynamic; `known` waits for it.
         T_cam_world: The best guess of the present pose (4, 4) at this stage.
         world: The map.
     """
@@ -51,32 +51,32 @@ class Question:
 
     @property
     def known(self) -> Semantics:
-        """What may move; waits until the segmenter has answered."""
+        """What is potentially dynamic; waits for the segmenter."""
         return self.semantics.result()
 
     @cached_property
     def may_move(self) -> Bool:
-        """Whether each keypoint (N,) lies on something that may move."""
+        """Whether each keypoint (N,) lies on something potentially dynamic."""
         return self.known.movable_at(self.frame.keypoints.raw_px)
 
     def nothing_moves(self) -> Motion:
-        """Return the verdict that nothing moves."""
+        """Return a motion in which nothing is dynamic."""
         return Motion.none(len(self.frame), self.frame.image.height, self.frame.image.width)
 
     def all_that_may_moves(self) -> Motion:
-        """Return the verdict that everything moves that may."""
+        """Return a motion in which everything potentially dynamic is dynamic."""
         return Motion(~self.may_move, self.known.movable)
 
     def leaves_enough(self, motion: Motion) -> bool:
-        """Return whether `MIN_MATCHES` stay under a verdict, or all matches where there were fewer before.
+        """Return whether a motion leaves `MIN_MATCHES` matches, or all matches where there were fewer before.
 
-        With fewer than `TRACKABLE` matches any verdict leaves enough: tracking does not go on either way.
+        With fewer than `TRACKABLE` matches any motion leaves enough: the stage fails either way.
         """
         stay = int(np.count_nonzero(motion.is_static[self.matches.keypoint]))
         return stay >= min(MIN_MATCHES, len(self.matches)) or len(self.matches) < TRACKABLE
 
     def enough_of(self, motion: Motion) -> Motion:
-        """Return a verdict; where it leaves too little, that of the semantics alone; where that does, none moves."""
+        """Return the motion; if it leaves too few matches, that of the semantics alone; if that does too, none."""
         if self.leaves_enough(motion):
             return motion
         masked = self.all_that_may_moves()

@@ -1,4 +1,4 @@
-"""Writing a file whole or not at all."""
+"""Atomic writing of a file."""
 
 import os
 from collections.abc import Iterator
@@ -11,7 +11,7 @@ from stillroom.errors import StillroomError
 
 @contextmanager
 def replacing(path: Path) -> Iterator[BinaryIO]:
-    """Open a file beside `path` that takes its place when all is written; what was there stays until then.
+    """Open a temporary file that replaces `path` when all is written; an older file stays until then.
 
     Raises:
         StillroomError: It cannot be written.

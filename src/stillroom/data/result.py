@@ -1,4 +1,4 @@
-"""What tracking says of one frame."""
+"""The result of tracking one frame."""
 
 from dataclasses import dataclass, field, fields
 from enum import Enum
@@ -9,7 +9,7 @@ from stillroom.geometry.arrays import F64, I32, Bool
 
 
 class TrackingState(Enum):
-    """Where tracking stands after a frame."""
+    """The state of tracking after a frame."""
 
     NOT_INITIALIZED = "not initialized"
     OK = "ok"
@@ -17,30 +17,30 @@ class TrackingState(Enum):
 
 
 class Recovery(Enum):
-    """How a frame got its pose back, where the camera was lost before it."""
+    """How a frame was relocalized after tracking was lost."""
 
     NONE = "none"
-    """It was not lost, or it is still."""
+    """Tracking was not lost, or still is."""
     LAST_KEYFRAMES = "last keyframes"
     """One of the newest keyframes was recognised."""
     PLACE = "place"
     """A place was recognised among all keyframes, by what it looks like."""
     NEW_SUBMAP = "new sub-map"
-    """Nothing was recognised for a while; the frame begins a piece of map of its own."""
+    """No place was recognised for a while; the frame begins a new sub-map."""
 
 
 @dataclass(frozen=True)
 class Tracked:
-    """A frame with its place in the map; handed from tracking to mapping.
+    """A frame with its place in the map; passed from tracking to mapping.
 
     Attributes:
         frame: The frame.
         state: OK when the pose is to be trusted.
         T_world_cam: Pose (4, 4); None when lost.
         point_ids: Map point of each keypoint (N,) int32; −1 where none. Only inliers of the pose.
-        motion: What moves in the image, and the verdict on each keypoint.
+        motion: What is dynamic in the image: pixels, and the classification of each keypoint.
         reference_keyframe: Id of the keyframe that shares most points; −1 before there is one.
-        recovery: How the frame got its pose back after the camera was lost.
+        recovery: How the frame was relocalized, where tracking was lost before it.
     """
 
     frame: Frame
@@ -53,7 +53,7 @@ class Tracked:
 
     @property
     def recovered(self) -> bool:
-        """Whether the pose came from recognising the scene after being lost."""
+        """Whether the frame was relocalized after tracking was lost."""
         return self.recovery in (Recovery.LAST_KEYFRAMES, Recovery.PLACE)
 
     @property
@@ -63,7 +63,7 @@ class Tracked:
 
     @property
     def is_static(self) -> Bool:
-        """Which keypoints (N,) both sieves take to be static."""
+        """Which keypoints (N,) both sieves classify as static."""
         static: Bool = self.frame.is_static & self.motion.is_static
         return static
 
@@ -85,15 +85,15 @@ class FrameSummary:
 
     Attributes:
         index, timestamp_s: Place and time of the image in its sequence.
-        state: Where tracking stands.
+        state: State of tracking.
         T_world_cam: Pose as known at this moment (4, 4); None when lost.
         n_keypoints, n_static, n_inliers: Keypoints found, judged static, and agreeing with the pose.
         n_keyframes: Keyframes in the map after this frame.
         is_keyframe: Whether this frame became one.
-        reference_keyframe: Id of the keyframe that the final trajectory hangs this frame on; −1 when lost.
+        reference_keyframe: Id of the keyframe that the final trajectory refers this frame to; −1 when lost.
         T_reference_cam: Pose in that keyframe (4, 4); None when lost.
-        submap: The piece of the map that the pose was in at this moment; pieces that join later become one.
-        recovery: How the frame got its pose back after the camera was lost.
+        submap: Id of the sub-map that the pose was in at this moment; it may be merged later.
+        recovery: How the frame was relocalized, where tracking was lost before it.
     """
 
     index: int
@@ -116,7 +116,7 @@ class FrameResult(FrameSummary):
     """What `process` returns.
 
     Attributes:
-        motion: What moves: the pixels (H, W), and the verdict on each keypoint.
+        motion: What is dynamic: the pixels (H, W), and the classification of each keypoint.
         keypoints: The keypoints of the image.
     """
 

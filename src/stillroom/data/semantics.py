@@ -1,4 +1,4 @@
-"""What may move in an image: boxes with classes, instances with masks of their own, and the mask of all."""
+"""What is potentially dynamic in an image: boxes, instances with a mask each, and one mask."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -12,7 +12,7 @@ from stillroom.geometry.arrays import F32, Bool, Floats
 from stillroom.geometry.pixels import values_at
 
 UNNAMED = "movable"
-"""Label of an object that no segmenter told apart: a connected part of what may move."""
+"""Label of an object without a class: a connected part of the potentially dynamic pixels."""
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,7 @@ class Box:
         x_min_px, y_min_px, x_max_px, y_max_px: Edges [px]; a point lies inside when min ≤ p ≤ max.
         label: Class name, such as "person".
         confidence: Between 0 and 1.
-        carried: How many frames ago the detector last saw it; 0 for a detection of this frame.
+        carried: Frames since the last detection, over which the box was propagated; 0 for a detection of this frame.
         track_id: Identity over time where a tracker gave one; −1 otherwise.
     """
 
@@ -113,17 +113,17 @@ class Instance:
 
 @dataclass(frozen=True)
 class Semantics:
-    """What may move in one image.
+    """What is potentially dynamic in one image.
 
     Attributes:
         height, width: Image size [px].
         boxes: Objects of movable classes.
-        mask: Pixels of movable things (H, W), where a segmenter gave a mask; None where there are only boxes.
-        clusters: What the depth cloud falls into, where somebody looked; they may move whatever their class is.
+        mask: Pixels of potentially dynamic objects (H, W); None where a segmenter gives only boxes.
+        clusters: Clusters of the depth cloud, where it was segmented; potentially dynamic whatever their class is.
         named: Objects of classes that stand still unless somebody moves them, such as chairs; no reason to think that
             they move.
-        instances: Objects of movable classes with a mask each, where a segmenter told them apart; they may overlap.
-            Where there is a mask too, it covers all of them: who grows it grows them, or leaves them out.
+        instances: Objects of movable classes with a mask each, where a segmenter separates them; they may overlap.
+            Where there is a mask too, it covers all of them: to dilate the mask, dilate or drop them too.
     """
 
     height: int
@@ -136,12 +136,12 @@ class Semantics:
 
     @property
     def has_any(self) -> bool:
-        """Whether anything may move at all."""
+        """Whether anything is potentially dynamic."""
         return bool(self.boxes) or bool(self.instances) or (self.mask is not None and bool(self.mask.any()))
 
     @cached_property
     def movable(self) -> Bool:
-        """Pixels that may move (H, W): the mask where there is one, else all instances, else the boxes filled."""
+        """Potentially dynamic pixels (H, W): the mask where there is one, else all instances, else the boxes filled."""
         if self.mask is not None:
             return self.mask
         if self.instances:
@@ -155,14 +155,14 @@ class Semantics:
 
     @cached_property
     def objects(self) -> tuple[Instance, ...]:
-        """What may move, object by object: the instances where they are known, else the connected parts of `movable`.
+        """The potentially dynamic objects: the instances where they are known, else the connected parts of `movable`.
 
         A part may be two people who touch, or one of two halves of a person; its label is `UNNAMED`.
         """
         return self.instances or connected_parts(self.movable)
 
     def movable_at(self, raw_px: Floats) -> Bool:
-        """Return for points (N, 2) of the image as taken whether they lie on something movable, (N,)."""
+        """Return whether points (N, 2) of the image as taken lie on something potentially dynamic, (N,)."""
         if not self.has_any or len(raw_px) == 0:
             return np.zeros(len(raw_px), dtype=np.bool_)
         return values_at(self.movable, raw_px)
@@ -198,5 +198,5 @@ def connected_parts(mask: Bool, label: str = UNNAMED) -> tuple[Instance, ...]:
 
 
 def nothing(height: int, width: int) -> Semantics:
-    """Return the semantics of an image in which nothing may move."""
+    """Return the semantics of an image without anything potentially dynamic."""
     return Semantics(height, width)

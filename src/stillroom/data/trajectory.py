@@ -1,4 +1,4 @@
-"""Poses over time, and the TUM text format that everyone reads."""
+"""Poses over time, and the TUM text format."""
 
 from dataclasses import dataclass
 from pathlib import Path

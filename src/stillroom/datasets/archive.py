@@ -21,7 +21,7 @@ from stillroom.errors import DatasetError
 
 
 class BrokenArchiveError(DatasetError):
-    """The archive itself is at fault: no reading it again will help."""
+    """The archive itself is damaged: reading it again will not help."""
 
 
 log = logging.getLogger(__name__)
@@ -73,7 +73,7 @@ def unpacked(archive: Path) -> Path:
 def unpack(archive: Path, folder: Path) -> None:
     """Unpack an archive into a new folder, which appears only when it is complete.
 
-    Only folders and plain files are made: links and devices in an archive of images have no honest use.
+    Only folders and plain files are made: an archive of images needs no links or devices.
 
     Raises:
         BrokenArchiveError: The archive is no archive, is cut off, or holds a path that leads out of it.
@@ -94,7 +94,7 @@ def unpack(archive: Path, folder: Path) -> None:
         if not folder.exists():  # another run may have been faster
             half_done.rename(folder)
     except UNREADABLE as error:
-        reason = str(error).partition(":")[0]  # tarfile goes on with what each kind of compression has to say
+        reason = str(error).partition(":")[0]  # tarfile appends one message for each kind of compression
         raise BrokenArchiveError(f"{archive}: not a whole archive ({reason}); delete it and fetch it again") from error
     except OSError as error:
         raise DatasetError(f"{archive}: cannot be unpacked into {folder.parent} ({error})") from error

@@ -22,7 +22,7 @@ from stillroom.protocols import Dataset
 NAME_PREFIX = "rgbd_bonn_"
 
 T_ROS = np.array([[-1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
-"""From the motion-capture axes to the data set's: x is turned round, y and z change places."""
+"""From the motion-capture axes to the data set's: x is negated, y and z are swapped."""
 
 SCALED_T_MARKER_CAM = np.array(
     [
@@ -36,7 +36,7 @@ SCALED_T_MARKER_CAM = np.array(
 
 
 def marker_calibration() -> F64:
-    """Return `T_marker_cam` (4, 4): the published matrix with its scale divided out and its rotation made one."""
+    """Return `T_marker_cam` (4, 4): the published matrix without its scale, its rotation orthonormalised."""
     scale = float(np.cbrt(np.linalg.det(SCALED_T_MARKER_CAM[:3, :3])))
     unscaled = SCALED_T_MARKER_CAM.copy()
     unscaled[:3, :3] /= scale

@@ -17,7 +17,7 @@ from stillroom.errors import CalibrationError, DatasetError, FrameError
 from stillroom.geometry.arrays import F32, F64, I64, U8, U16
 from stillroom.geometry.camera import Camera
 
-# Cameras that write JPEG put how they were held into EXIF; the calibration is of the sensor as it is.
+# EXIF says how the camera was held; the calibration is of the unrotated sensor.
 COLOUR_FLAGS = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
 PNG_START, PNG_END = b"\x89PNG", b"IEND\xaeB`\x82"
 JPEG_START, JPEG_END = b"\xff\xd8", b"\xff\xd9"
@@ -81,7 +81,7 @@ def _decode(path: Path, flags: int) -> U8 | U16:
 def _is_cut_off(encoded: bytes) -> bool:
     """Return whether a PNG or JPEG lacks its end.
 
-    Some decoders fill what is missing with gray and say nothing that a program can hear. Phones append data after a
+    Some decoders fill what is missing with gray and report no error. Phones append data after a
     JPEG's end mark, and thumbnails at its start have end marks of their own, so the second half is searched; the
     coded pixels themselves cannot contain it.
     """
@@ -195,7 +195,7 @@ def build_sequence(
 
 
 def _probe(folder: Path, sequence: ImageSequence) -> None:
-    """Read the first frame that can be used: what is wrong with all of them is wrong with the sequence."""
+    """Read the first usable frame; if none of them is usable, the sequence is not."""
     errors: list[FrameError] = []
     for rgb_file, depth_file in list(zip(sequence.rgb_files, sequence.depth_files, strict=True))[:PROBED_FRAMES]:
         try:
@@ -213,7 +213,7 @@ def _probe(folder: Path, sequence: ImageSequence) -> None:
 
 
 def _remark(sequence: ImageSequence) -> None:
-    """Say what is odd about a sequence that can be used all the same."""
+    """Warn about gaps and unpaired images of a usable sequence."""
     if sequence.unpaired:
         log.info(
             "%s: %d of %d colour images have no depth image within %g s and are left out",
@@ -225,7 +225,7 @@ def _remark(sequence: ImageSequence) -> None:
     steps_s = np.diff(sequence.timestamps_s)
     if len(steps_s) == 0:
         return
-    # A sequence recorded slowly on purpose is no cause for alarm.
+    # A sequence recorded slowly on purpose needs no warning.
     limit_s = max(LONG_GAP_S, 5.0 * float(np.median(steps_s)))
     long = np.flatnonzero(steps_s > limit_s)
     if len(long):

@@ -13,8 +13,8 @@ class SequenceRequest:
 
     Attributes:
         text: As given on the command line: a path, a bare name, or `kind:…`.
-        path: The file or folder that it leads to; that of an unpacked archive is a folder in the cache. None while no
-            file or folder has been sought: kinds are asked about the text alone before.
+        path: The file or folder that it leads to; that of an unpacked archive is a folder in the cache. None before it
+            is looked up: `recognises` is called with the text alone first.
         name: What the sequence is to be called: the name of the folder, or of the archive where that has none; empty
             while there is no path.
     """
@@ -41,8 +41,8 @@ class DatasetKind:
     Attributes:
         name: What the kind is called; where it is recognised by a prefix, the same word.
         summary: One line: what is read.
-        recognises: Whether this kind opens what is asked for. Asked about the text alone at first, then about the file
-            or folder that it leads to; must not read more than the names of files.
+        recognises: Whether this kind opens what is asked for. Called with the text alone first, then with the file or
+            folder that it leads to; reads file names only.
         open: Opens it. Given what is asked for; the calibration asked for, a name or a file, if any; and the frames
             per second [1/s], if given. It raises `DatasetError`, `CalibrationError` or `TrajectoryError` where the
             sequence cannot be opened, and `ConfigError` where an option does not go with this kind.

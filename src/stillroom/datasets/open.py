@@ -1,4 +1,4 @@
-"""One door to all sequences: finds what a path or name leads to, and asks each kind of data set about it."""
+"""The entry point for all sequences: resolves a path or name, and finds the kind of data set that recognises it."""
 
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -38,7 +38,7 @@ def open_dataset(path_or_name: str, camera: str | None = None, fps: float | None
         kind = _recognised(asked, kinds)
     if kind is None and asked.folder is None:
         asked, kind = _unpacked(asked, kinds)
-    # A folder that no kind recognises goes to the plain one, which says what is missing in it.
+    # A folder that no kind recognises is opened as a plain one, which reports what is missing.
     return (kind or LAST).open(asked, camera, fps)
 
 

@@ -1,4 +1,4 @@
-"""What a data set is made from: the defaults of a whole recording, and a data set that shows another one."""
+"""Base classes of data sets: a whole recording, and a view of another data set."""
 
 import logging
 from collections.abc import Iterator
@@ -28,7 +28,7 @@ def readable_images(dataset: Dataset) -> Iterator[RgbdImage]:
 
 
 class Recording:
-    """Base of a `Dataset` that is a whole sequence. What is left to write are four attributes and `load`.
+    """Base of a `Dataset` that is a whole sequence. A subclass provides four attributes and `load`.
 
     It has no ground truth unless a subclass gives some, and its images are numbered from 0 in their order.
 
@@ -77,7 +77,7 @@ def rendered(dataset: Dataset) -> RenderedDataset | None:
 
 
 class DatasetView:
-    """Base of a `Dataset` that shows another one: it says what the other says, but for what a subclass overrides."""
+    """Base of a `Dataset` that shows another one: it delegates to the other, except for what a subclass overrides."""
 
     def __init__(self, inner: Dataset) -> None:
         """Show `inner`."""

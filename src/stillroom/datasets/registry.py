@@ -21,11 +21,11 @@ PLUGINS: PluginGroup[DatasetKind] = PluginGroup(
 
 OWN = (bonn.KIND,)
 LAST = folder.KIND
-"""Asked after all others: a folder with `rgb/` may well be of a more special kind."""
+"""Tried after all others: a folder with `rgb/` may well be of a more special kind."""
 
 
 def all_kinds() -> dict[str, DatasetKind]:
-    """Return every kind by name, in the order in which they are asked.
+    """Return every kind by name, in the order in which they are tried.
 
     Raises:
         ConfigError: What an installed package offers cannot be imported, is no kind of data set, or has a name that is

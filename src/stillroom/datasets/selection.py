@@ -59,7 +59,7 @@ class Selected(DatasetView):
 
 
 class Reversed(DatasetView):
-    """A `Dataset` that plays another backwards: times and ground truth are mirrored, so that time goes on as it must.
+    """A `Dataset` that plays another backwards: times and ground truth are mirrored, so that times increase.
 
     Numbers of images, which must increase, count from the end of the original: its last image is number 0.
     """
@@ -171,7 +171,7 @@ def parse_range(text: str) -> slice:
 
 
 def _touched(option: str, text: str, numbers: I64, kept: Bool, length: int) -> Bool:
-    """Return which of the kept images (N,) a range touches; a range that touches none is a slip of the pen."""
+    """Return which of the kept images (N,) a range touches; a range that touches none is an error."""
     try:
         chosen = parse_range(text)
     except ConfigError as error:

@@ -1,1 +1,1 @@
-"""Sieve 3 and what it leaves: a dense map of what stays."""
+"""Sieve 3 and its result: a dense map of the static scene."""

@@ -1,4 +1,4 @@
-"""What is taken out of the map again: what moves, what later rays pass through, and what was never there for long."""
+"""Removal from the map: dynamic points, free-space carving by later rays, and what was seen only briefly."""
 
 from dataclasses import dataclass, field
 
@@ -33,7 +33,7 @@ from stillroom.geometry.pixels import Shape, element
 MOST_CELLS = 1 << 21
 SAMPLES = 64
 LEAST_SHARE = 0.1
-"""A witness is asked when it has at least this share of the points in view."""
+"""An earlier depth image is used when it has at least this share of the points in view."""
 COARSER = 2
 """Rays that carve are taken at the stride of the clouds times this."""
 TYPICAL_DEPTH_M = 3.0
@@ -43,7 +43,7 @@ TYPICAL_DEPTH_M = 3.0
 
 
 class MovingPoints:
-    """Points of what moves, asked what lies near them."""
+    """Dynamic points, with radius queries."""
 
     def __init__(self, points_world_m: F64) -> None:
         """Take the points (M, 3) [m, world]."""
@@ -64,9 +64,9 @@ class MovingPoints:
         return near
 
     def perhaps_near(self, candidates_world_m: F32, radius_m: float) -> Bool:
-        """Return which candidates (N, 3) may lie within a radius, (N,): all that do, and some a little farther off.
+        """Return which candidates (N, 3) may lie within a radius, (N,): all that do, and some slightly farther away.
 
-        A look at a grid of cells is a tenth of a question to the tree.
+        A look-up in a grid of cells takes a tenth of a query of the tree.
         """
         if self._tree is None:
             return np.zeros(len(candidates_world_m), dtype=np.bool_)
@@ -115,17 +115,17 @@ def in_marked_cells(points_m: F32, lower_m: F64, edge_m: float, marked: U8) -> B
     return found
 
 
-# What earlier images saw, kept small: asked whether a place was free before anything appeared there.
+# Earlier depth images, subsampled: was a place free space before something appeared there?
 
 
 @dataclass(frozen=True)
 class Witness:
-    """A small depth image (h, w), hung on a keyframe.
+    """A subsampled depth image (h, w), with its pose relative to a keyframe.
 
     Attributes:
         keyframe: The keyframe.
         T_keyframe_cam: Pose in it (4, 4).
-        depth: Depths in units, the lowest bit set where a pixel shows what moves.
+        depth: Depths in units, the lowest bit set where a pixel is dynamic.
     """
 
     keyframe: int
@@ -134,7 +134,7 @@ class Witness:
 
 
 def small_depth(depth_m: F32, is_moving: Bool | None, stride: int) -> U16:
-    """Return every so many-th depth (H, W) [m] in units; the lowest bit stands for whether it moves (H, W)."""
+    """Return depths (H, W) [m] subsampled by the stride, in units; the lowest bit marks dynamic pixels (H, W)."""
     depth: U16 = in_units(depth_m, stride) & np.uint16(0xFFFE)
     if is_moving is not None:
         depth |= is_moving[::stride, ::stride] & (depth > 0)
@@ -150,7 +150,7 @@ def views_of(depth: U16) -> U16:
 
 
 class Witnesses:
-    """The small images in order of time; when there are too many, every second of the older half goes."""
+    """The subsampled images in order of time; when there are too many, every second of the older half is dropped."""
 
     def __init__(self, camera: Camera, most: int) -> None:
         """Start without any; keep at most `most`."""
@@ -180,7 +180,7 @@ class Witnesses:
             self._T_cam_world[: len(kept)] = self._T_cam_world[kept]
 
     def refresh(self, world: Map) -> None:
-        """Bring all to where their keyframes are now; `choose` does so only for those that it returns."""
+        """Update all poses from the keyframes; `choose` does so only for those that it returns."""
         for i, witness in enumerate(self._all):
             self._T_cam_world[i] = se3.inverse(world.keyframe_pose(witness.keyframe) @ witness.T_keyframe_cam)
 
@@ -190,7 +190,7 @@ class Witnesses:
         Args:
             points_m: The points (M, 3) [m, world].
             far_m: How far witnesses see.
-            n: How many.
+            n: Number of images.
             world: The map that holds their keyframes.
         """
         if not self._all or len(points_m) == 0:
@@ -208,21 +208,21 @@ class Witnesses:
 
 @dataclass(frozen=True)
 class CarvingConfig:
-    """What is taken out.
+    """Carving: what is removed from the map.
 
     Each voxel has a score. A depth image in which it is a surface raises the score by `hit`, one whose rays pass
     through it lowers it by 1, between `lowest` and `highest`. Voxels with a score above 0 are shown, and one that is
     passed at `lowest` is emptied. A voxel that gets its first pixels starts with the score that earlier images give
-    it: what appears where they saw through must be hit again and again before it is shown.
+    it: what appears in free space must be hit several times before it is shown.
 
     Attributes:
-        removal: Whether anything is taken out; without, moving pixels are fused like all others.
-        radius_m: Voxels nearer than this to what moves are emptied, unless the same image shows them to stay.
+        removal: Whether anything is removed; if not, dynamic pixels are fused like all others.
+        radius_m: Voxels nearer than this to dynamic points are emptied, unless the same image shows them as static.
         tolerance_m, tolerance_share: A ray passes a voxel when it ends behind it by more than the larger of the first
             and this share of the depth, with all rays around it.
         hit, lowest, highest: See above.
-        n_asked: Earlier images that are asked about new voxels.
-        every: Every how many-th frame is used. A keyframe is one of them; where no other frames are offered, all are.
+        n_asked: Earlier images that new voxels are compared with.
+        every: Stride in frames. Keyframes count; where no other frames are offered, all keyframes are used.
     """
 
     removal: bool = True
@@ -237,7 +237,7 @@ class CarvingConfig:
 
 
 class Carver:
-    """Judges the voxels of a map by depth images."""
+    """Updates the scores of a map's voxels from depth images."""
 
     def __init__(
         self,
@@ -256,7 +256,7 @@ class Carver:
         self._scoring = Scoring(config.hit, config.lowest, config.highest)
         self._stride = COARSER * surface.stride
         self._seeing = Seeing(float(UNIT_M), self._stride, config.tolerance_m, config.tolerance_share)
-        # Points of moving things lie no further apart than the radius, up to a typical depth.
+        # The stride keeps dynamic points no further apart than the radius, up to a typical depth.
         self._thinning = max(1, int(config.radius_m * camera.fx / TYPICAL_DEPTH_M / self._stride))
         self._since_judged = self._since_frame_judged = config.every
 
@@ -266,11 +266,11 @@ class Carver:
         return self._witnesses.n_bytes
 
     def refresh(self) -> None:
-        """Follow the keyframes to where they are now: earlier images are asked about what they see from there."""
+        """Update the poses of earlier images from their keyframes."""
         self._witnesses.refresh(self.world)
 
     def in_view(self, block_keys: I64, T_world_cam: F64) -> Bool:
-        """Return for blocks (B,) whether a camera at a pose (4, 4) may see into them."""
+        """Return whether a camera at a pose (4, 4) may see into blocks (B,)."""
         centres_m = block_centres_m(block_keys, self.voxels.voxel_m)
         T_cam_world = se3.inverse(T_world_cam)
         return in_frustum(centres_m, self.voxels.block_radius_m, T_cam_world, self._lens, self._size_px, self._far_m)
@@ -278,19 +278,19 @@ class Carver:
     def judge_keyframe(
         self, keyframe: int, image: RgbdImage, excluded: Bool | None, T_world_cam: F64, now: int
     ) -> None:
-        """Remove from the map what a keyframe shows to be moving, and let it carve if its turn has come.
+        """Remove from the map what is dynamic in a keyframe, and carve with it if it is due.
 
         Args:
-            keyframe: Its id; it is remembered by it.
+            keyframe: Its id.
             image: Its image.
-            excluded: Pixels that move (H, W).
+            excluded: Dynamic pixels (H, W).
             T_world_cam: Its pose (4, 4).
             now: Time that voided voxels are marked with.
         """
         self._since_judged += 1
         self._since_frame_judged += 1
         depth = small_depth(image.depth_m, excluded, self._stride)
-        # Frames between keyframes tell as much: where they are offered, a keyframe seldom needs to carve.
+        # Frames between keyframes carve as well: where they are offered, a keyframe seldom needs to.
         if self._since_frame_judged > 2 * self.config.every:
             self._judge(depth, T_world_cam, now)
         if excluded is not None:
@@ -300,10 +300,10 @@ class Carver:
     def judge_frame(
         self, keyframe: int, T_keyframe_cam: F64, image: RgbdImage, excluded: Bool | None, T_world_cam: F64, now: int
     ) -> bool:
-        """Let a frame carve if its turn has come; tell whether it had.
+        """Carve with a frame if it is due; return whether it was.
 
         Args:
-            keyframe: The keyframe that it is remembered by …
+            keyframe: The keyframe that its pose is relative to …
             T_keyframe_cam: … and its pose in it (4, 4).
             image, excluded, T_world_cam, now: See above.
         """
@@ -329,10 +329,10 @@ class Carver:
         for T_cam_world, depth in self._witnesses.choose(positions_m, self._far_m, config.n_asked, self.world):
             view = SmallDepthView(T_cam_world, self._lens, views_of(depth))
             judge_rows(rows, positions_m, voxels.rows, view, self._seeing, self._scoring, heard)
-        voxels.score[rows[~heard]] = 1  # nobody has said anything against these
+        voxels.score[rows[~heard]] = 1  # no earlier image contradicts these
 
     def _judge(self, depth: U16, T_world_cam: F64, now: int) -> None:
-        """Let a small depth image (h, w) judge what is in view."""
+        """Update the scores of what is in view from a subsampled depth image (h, w)."""
         voxels, T_cam_world = self.voxels, se3.inverse(T_world_cam)
         near = voxels.blocks_near(T_cam_world, self._lens, self._size_px, self._far_m)
         view = SmallDepthView(T_cam_world, self._lens, views_of(depth))
@@ -341,7 +341,7 @@ class Carver:
         self._since_judged = 0
 
     def _remove_moving(self, depth: U16, T_world_cam: F64, now: int) -> None:
-        """Empty voxels near moving pixels (h, w) of which the image says nothing else: neither static nor passed."""
+        """Empty voxels near dynamic pixels (h, w) that the image shows neither as static nor as passed."""
         voxels, config = self.voxels, self.config
         moving = MovingPoints(self._moving_points(depth, T_world_cam))
         close = moving.near(voxels.block_centres_m, config.radius_m + voxels.block_radius_m)
@@ -358,7 +358,7 @@ class Carver:
         voxels.void(rows[open_to_it][gone], now, config.lowest)
 
     def _moving_points(self, depth: U16, T_world_cam: F64) -> F64:
-        """Return points (M, 3) [m, world] of what moves."""
+        """Return the dynamic points (M, 3) [m, world]."""
         step = self._thinning
         coarse = depth[::step, ::step]
         depth_m = np.multiply(coarse, UNIT_M, dtype=np.float32)

@@ -1,4 +1,4 @@
-"""Keyframe clouds, kept so that they can be taken out of the map; those not needed for long lie in a file."""
+"""Keyframe clouds, kept so that they can be subtracted from the map; the least recently used are swapped to a file."""
 
 import logging
 from collections import OrderedDict
@@ -35,8 +35,8 @@ class CloudStore:
 
         Args:
             shape: Rows and columns of the clouds.
-            max_bytes: Above this, what was not used for longest goes into a file.
-            folder: Where the file goes; None for the system's own choice.
+            max_bytes: Above this, the least recently used clouds go to a file.
+            folder: Where the file goes; None for the system's default.
         """
         self._shape, self._max_bytes = shape, max_bytes
         self._resident: OrderedDict[int, _Packed] = OrderedDict()
@@ -59,7 +59,7 @@ class CloudStore:
         return keyframe in self._resident or keyframe in self._places
 
     def put(self, keyframe: int, cloud: KeyframeCloud) -> list[int]:
-        """Keep a cloud; return the keyframes whose clouds had to be given up because the file takes no more."""
+        """Keep a cloud; return the keyframes whose clouds were dropped because the file is full."""
         packed = _Packed(cloud.depth, cloud.rgb, np.packbits(cloud.usable))
         self._bytes_of_one = packed.n_bytes
         self._resident[keyframe] = packed

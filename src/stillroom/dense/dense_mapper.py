@@ -1,4 +1,4 @@
-"""The dense map: keyframes' static pixels in voxels, without what moved, wherever the keyframes are now."""
+"""The dense map: the static pixels of keyframes in voxels, kept consistent with corrected poses."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -27,16 +27,16 @@ NOT_FUSED = -1
 FIRST_CAPACITY = 64
 MB = float(1 << 20)
 PATIENCE = 2.0
-"""Poses of new keyframes go to and fro: while frames come, only what has moved this much more is fused again."""
+"""Poses of new keyframes fluctuate: while frames come, only what has moved by this factor more is fused again."""
 CLOUD_SHARE, VOXEL_SHARE, WITNESS_SHARE = 0.45, 0.45, 0.1
 """What keyframe clouds, voxels and earlier depth images may take of the memory."""
 
 
-# Under which poses images were fused, and which of them the map has moved since.
+# The poses under which images were fused, and which of them have changed in the map since.
 
 
 class FusedViews:
-    """What is known of each view: a keyframe, or a frame that hangs on one. Views are numbered as they come."""
+    """The views: keyframes, or frames with a pose relative to one, numbered in order of arrival."""
 
     def __init__(self) -> None:
         """Start with none."""
@@ -47,7 +47,7 @@ class FusedViews:
         self._n = 0
 
     def new(self, keyframe: int, T_keyframe_cam: F64) -> int:
-        """Number a view that hangs on a keyframe at a pose (4, 4) in it; it is not fused yet."""
+        """Add a view with a pose (4, 4) relative to a keyframe and return its number; it is not fused yet."""
         view = self._n
         if view == len(self._keyframe):
             for name in ("_keyframe", "_T_keyframe_cam", "_T_world_cam", "_added_at"):
@@ -67,12 +67,12 @@ class FusedViews:
         return self._T_world_cam[view], int(self._added_at[view])
 
     def pose_now(self, view: int, world: Map) -> F64:
-        """Return `T_world_cam` (4, 4) of a view by the map as it is."""
+        """Return `T_world_cam` (4, 4) of a view in the current map."""
         pose: F64 = world.keyframe_pose(int(self._keyframe[view])) @ self._T_keyframe_cam[view]
         return pose
 
     def forget(self, view: int) -> None:
-        """Leave a view as it was fused for ever."""
+        """Never correct a view again."""
         self._added_at[view] = NOT_FUSED
 
     def moved(self, world: Map, tolerance_m: float, with_culled: bool) -> list[int]:
@@ -81,7 +81,7 @@ class FusedViews:
         Args:
             world: The map.
             tolerance_m: How far a point at a typical depth may move.
-            with_culled: Whether to follow culled keyframes to what they hang on, one by one.
+            with_culled: Whether to include culled keyframes, by the pose of their parent.
         """
         views: I64 = np.flatnonzero(self._added_at[: self._n] != NOT_FUSED)
         alive = world.keyframes.is_alive[self._keyframe[views]]
@@ -104,17 +104,17 @@ class DenseMapperConfig:
     Attributes:
         voxel_m: Edge of a voxel [m].
         surface: Which pixels are fused.
-        carving: What is taken out again.
+        carving: What is removed again.
         correction_m: A keyframe is fused again when its pose in the map has moved a point two metres and a half away by
             more than this.
         corrections: Views fused again with each new keyframe, at most; `refresh` does all.
-        fuse_every: Where so many frames pass without a keyframe, one of them is fused too: a camera that stands still
+        fuse_every: After this many frames without a keyframe, one of them is fused too: a static camera
             makes no keyframes, and things still appear. 0: keyframes only.
         least_pixels: A point needs the weight of this many pixels at one metre; a pixel at four counts 1/16.
         layer_voxels: How far to either side noise may smear a surface; it comes out as one layer. 0: as it is.
         max_memory_mb: What the map may hold in memory [MB]; the rest lies in a temporary file. What one view shows
             stays in any case, and the result of `cloud` comes on top.
-        swap_folder: Where that file goes; None for the system's own choice. It takes about 0.4 MB for each fused image.
+        swap_folder: Where that file goes; None for the system's default. It takes about 0.4 MB for each fused image.
     """
 
     voxel_m: float = bounded(0.02, above=0)
@@ -135,7 +135,7 @@ class DenseMapperConfig:
 
 
 class DenseMapper:
-    """Fuses keyframes, removes what moved, follows corrections of the poses."""
+    """Fuses keyframes, removes what moved, and fuses again after pose corrections."""
 
     def __init__(self, config: DenseMapperConfig, parts: Parts) -> None:
         """Start empty."""
@@ -166,12 +166,12 @@ class DenseMapper:
         return self.voxels.n_bytes + self._clouds.n_bytes + self._carver.n_bytes
 
     def integrate(self, keyframe: int, image: RgbdImage, excluded: Bool | None = None) -> None:
-        """Fuse a new keyframe's static pixels, and take out what it shows to be moving or gone.
+        """Fuse a new keyframe's static pixels, and remove what it shows to be dynamic or gone.
 
         Args:
             keyframe: Its id in the map.
             image: Its image.
-            excluded: Pixels that move (H, W).
+            excluded: Dynamic pixels (H, W).
         """
         T_world_cam = self.world.keyframe_pose(keyframe)
         if not np.all(np.isfinite(T_world_cam)):
@@ -188,12 +188,12 @@ class DenseMapper:
         self._keep_within_bound(T_world_cam)
 
     def carve(self, image: RgbdImage, T_world_cam: F64, excluded: Bool | None = None) -> None:
-        """Let a frame that is no keyframe tell what is free; offered every frame, every few are used.
+        """Carve free space with a frame that is no keyframe; called for every frame, used at a stride.
 
         Args:
             image: Its image.
             T_world_cam: Its pose (4, 4).
-            excluded: Pixels that move (H, W); their rays count too, but are no sign of a surface.
+            excluded: Dynamic pixels (H, W); their rays carve too, but show no surface.
         """
         if self._last_keyframe < 0 or not np.all(np.isfinite(T_world_cam)):
             return
@@ -244,7 +244,7 @@ class DenseMapper:
             self._views.forget(lost)
 
     def _take_out(self, view: int) -> tuple[KeyframeCloud, I8]:
-        """Subtract a view where it was added, and return its cloud; what was voided since is no longer usable."""
+        """Subtract a view from where it was added, and return its cloud; voxels voided since are no longer usable."""
         cloud = self._clouds.take(view)
         normals = self._maker.find_surfaces(cloud)
         T_world_cam, added_at = self._views.fused_under(view)
@@ -255,7 +255,7 @@ class DenseMapper:
         return cloud, normals
 
     def _correct(self, most: int | None) -> None:
-        """Fuse views again that moved, the farthest moved first; without a limit, those on culled keyframes too."""
+        """Fuse again the views whose pose changed, the largest change first; without a limit, culled keyframes too."""
         tolerance_m = self.config.correction_m * (1.0 if most is None else PATIENCE)
         for view in self._views.moved(self.world, tolerance_m, with_culled=most is None)[:most]:
             T_world_cam = self._views.pose_now(view, self.world)
@@ -271,7 +271,7 @@ class DenseMapper:
         return self._clock
 
     def _bring_back_in_view(self, T_world_cam: F64) -> None:
-        """Bring back what lies in the file and in view, so that it can be judged."""
+        """Load the blocks from the file that are in view, so that they can be updated."""
         if len(self._swapped):
             keys = self._swapped.keys
             self._swapped.back(self.voxels, keys[self._carver.in_view(keys, T_world_cam)])

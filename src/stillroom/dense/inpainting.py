@@ -1,4 +1,4 @@
-"""The frame with what moves painted out from the last keyframes' colours and depths (DynaSLAM III.D)."""
+"""Background inpainting: what moves is replaced by the last keyframes' colours and depths (DynaSLAM III.D)."""
 
 from collections import deque
 from dataclasses import dataclass, field
@@ -65,15 +65,15 @@ def gains(rgb: U8, depth_m: F32, rays: F32, T_here_there: F64, camera: Camera, h
 
 @dataclass(frozen=True)
 class InpaintingConfig:
-    """How what moves is painted out.
+    """Background inpainting.
 
     Attributes:
-        keyframes: How many of the last keyframes are painted from.
-        min_depth_m: Nearer than this no pixel is brought (docs/reference.md#dynaslam).
+        keyframes: How many of the last keyframes are used.
+        min_depth_m: Nearer than this no pixel is projected (docs/reference.md#dynaslam).
         same_share: What lies behind the nearest surface by no more than this share of its depth is the same surface.
-        margin_px: How far around what moves pixels are painted too, and keyframes' not used: depth ends there ragged.
+        margin_px: Dilation of dynamic pixels, in the frame and in keyframes: depth is ragged at their edges.
         least_weight: A pixel is filled when at least this much of a pixel, bilinear shares added, fell on it.
-        sharpness: How much keyframes that saw the place from nearby count before others: each weighs
+        sharpness: How strongly keyframes near the view are preferred: each weighs
             1 / (distance and turn, in metres at a typical depth, + 1 cm) to this power.
         match_brightness: Whether keyframes' colours are scaled to the frame's exposure and white balance.
         close_px: Holes narrower than twice this take the colours around them; they stay marked as holes.
@@ -108,7 +108,7 @@ class Painted:
         rgb: Colours (H, W, 3) uint8.
         depth_m: Depths (H, W) float32 [m]; 0 where unknown.
         is_filled: Pixels that were painted (H, W).
-        is_hole: Pixels that were to be painted, and nobody had seen what is there (H, W).
+        is_hole: Pixels that were to be painted, but no keyframe has seen what is there (H, W).
     """
 
     rgb: U8 = field(repr=False)
@@ -142,7 +142,7 @@ class BackgroundPainter:
         return len(self._seen)
 
     def remember(self, keyframe: int, image: RgbdImage, moving: Bool) -> None:
-        """Keep a keyframe of the map, without what moves in it (H, W)."""
+        """Keep a keyframe of the map, without its dynamic pixels (H, W)."""
         usable = ~grown(moving, self.config.margin_px, Shape.SQUARE)
         self._seen.append(_KeyframeImage(keyframe, image.rgb, np.where(usable, image.depth_m, np.float32(0))))
 
@@ -154,9 +154,9 @@ class BackgroundPainter:
         Args:
             image: The frame.
             T_world_cam: Where it was taken (4, 4).
-            moving: What moves in it (H, W).
+            moving: Its dynamic pixels (H, W).
             world: The map, which knows where the keyframes are.
-            cloud: The dense map, for what no keyframe saw.
+            cloud: The dense map, for pixels that no keyframe saw.
         """
         moving = grown(moving, self.config.margin_px, Shape.SQUARE)
         rgb, depth_m = image.rgb.copy(), image.depth_m.copy()

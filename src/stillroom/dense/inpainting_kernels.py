@@ -1,4 +1,4 @@
-"""Loops over the pixels of keyframes that are brought into another image."""
+"""Kernels that warp keyframes into another image."""
 
 from typing import NamedTuple
 
@@ -66,12 +66,12 @@ class Canvas(NamedTuple):
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def splat_depth(surface: Surface, lens: Lens, min_depth_m: float, wanted: U8, nearest_m: F32) -> None:
-    """Keep in `nearest_m` (H, W) the nearest depth that a keyframe brings to each wanted pixel.
+    """Keep in `nearest_m` (H, W) the nearest depth of a keyframe projected to each wanted pixel.
 
     Args:
         surface: What the keyframe saw.
         lens: Of the camera.
-        min_depth_m: Nearer than this is not believed.
+        min_depth_m: Nearer depths are ignored.
         wanted: Which pixels are to be painted (H, W), 0 or 1.
         nearest_m: Depths so far; infinite where nothing was brought.
     """

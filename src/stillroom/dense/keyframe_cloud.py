@@ -1,4 +1,4 @@
-"""What the dense map keeps of a keyframe: enough to take it out of the map and put it back elsewhere."""
+"""The cloud of a keyframe in the dense map: kept so that it can be subtracted and added again at a corrected pose."""
 
 from dataclasses import dataclass, field
 
@@ -34,11 +34,11 @@ SAME_SURFACE_PER_M = 0.006
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def find_surfaces(depth_m: F32, rays: F32, near_m: float, far_m: float, least_cosine: float, usable: U8) -> I8:
-    """Clear `usable` where no surface can be told, and return normals (h, w, 3), camera frame, unit length 127.
+    """Clear `usable` where there is no surface, and return normals (h, w, 3), camera frame, unit length 127.
 
-    A pixel goes when it is out of range, when too few of its neighbours lie at its depth (edges, and points in the air
-    between two surfaces), or when it is seen at a grazing angle. The normal is the cross product of differences that
-    reach further where depth is noisier.
+    A pixel is dropped when it is out of range, when too few of its neighbours lie at its depth (edges, and points in
+    the air between two surfaces), or when it is seen at a grazing angle. The normal is the cross product of differences
+    that reach further where depth is noisier.
 
     Args:
         depth_m: Depths (h, w), 0 where unknown.
@@ -112,7 +112,7 @@ def _step(depth_m: F32, y: int, x: int, down: int, right: int, reach: int, toler
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def to_units(depth_m: F32, stride: int, unit_m: float, units: U16) -> None:
-    """Write every so many-th depth (H, W) [m] in units (h, w); 0 where it is unknown, impossible or too large."""
+    """Write depths (H, W) [m], at the stride, in units (h, w); 0 where unknown, impossible or too large."""
     for y in range(units.shape[0]):
         for x in range(units.shape[1]):
             value = depth_m[y * stride, x * stride] / unit_m + 0.5
@@ -121,7 +121,7 @@ def to_units(depth_m: F32, stride: int, unit_m: float, units: U16) -> None:
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def take_every(rgb: U8, stride: int, small: U8) -> None:
-    """Write every so many-th pixel of a picture (H, W, 3) into a small one (h, w, 3)."""
+    """Subsample an image (H, W, 3) by the stride into a small one (h, w, 3)."""
     for y in range(small.shape[0]):
         for x in range(small.shape[1]):
             for k in range(3):
@@ -133,10 +133,10 @@ class SurfaceConfig:
     """Which pixels are worth fusing.
 
     Attributes:
-        stride: Every how many-th pixel, both ways.
+        stride: Stride in rows and columns [px].
         near_m, far_m: Range of depth; noise grows with its square.
         least_cosine: Of the angle between surface and ray: less is seen too flat.
-        margin_px: How far around moving pixels others at their depth go too.
+        margin_px: Dilation of dynamic pixels over others at their depth.
         margin_m, margin_share: At their depth: within the larger of the first and this share of the depth.
     """
 
@@ -160,7 +160,7 @@ class KeyframeCloud:
     Attributes:
         depth: Depths in units of `UNIT_M`, uint16; 0 where unknown.
         rgb: Colours (h, w, 3) uint8.
-        usable: Pixels that are in the map (h, w), 0 or 1. Ones that are removed as moving later go here, for good.
+        usable: Pixels that are in the map (h, w), 0 or 1. Those found dynamic later are cleared here, permanently.
     """
 
     depth: U16 = field(repr=False)
@@ -195,7 +195,7 @@ class CloudMaker:
 
         Args:
             image: Colours and depths as taken.
-            excluded: Pixels that move (H, W); None for none.
+            excluded: Dynamic pixels (H, W); None for none.
         """
         stride, size = self.config.stride, (self.camera.height, self.camera.width)
         assert image.depth_m.shape == size, f"a depth image of {image.depth_m.shape}; the camera's have {size}"
@@ -210,7 +210,7 @@ class CloudMaker:
         return cloud, self.find_surfaces(cloud)
 
     def find_surfaces(self, cloud: KeyframeCloud) -> I8:
-        """Return the normals (h, w, 3) of the usable pixels; those on no surface cease to be usable."""
+        """Return the normals (h, w, 3) of the usable pixels; those on no surface are cleared in `usable`."""
         config = self.config
         normals: I8 = find_surfaces(
             cloud.depth_m, self.rays, config.near_m, config.far_m, config.least_cosine, cloud.usable
@@ -218,10 +218,9 @@ class CloudMaker:
         return normals
 
     def widened(self, excluded: Bool, depth_m: F32) -> Bool:
-        """Return moving pixels (h, w) with those around them that lie at their depth.
+        """Return dynamic pixels (h, w), dilated over those around them at their depth.
 
-        What lies further behind, as the wall beside a person, stays. Around moving pixels without depth nothing
-        is known, and nothing more goes.
+        What lies further behind, such as the wall beside a person, stays. Dynamic pixels without depth are not dilated.
         """
         config = self.config
         reach = -(-config.margin_px // config.stride)
@@ -250,7 +249,7 @@ def smoothed(depth: U16) -> U16:
 
 
 def in_units(depth_m: F32, stride: int) -> U16:
-    """Return every so many-th depth [m] in units of `UNIT_M`; 0 where it is unknown, impossible or too large."""
+    """Return depths [m], at the stride, in units of `UNIT_M`; 0 where unknown, impossible or too large."""
     height, width = depth_m.shape
     units: U16 = np.empty((-(-height // stride), -(-width // stride)), dtype=np.uint16)
     to_units(depth_m, stride, float(UNIT_M), units)

@@ -1,4 +1,4 @@
-"""The dense map of systems that make none."""
+"""The null object of systems without a dense map."""
 
 from dataclasses import dataclass
 
@@ -10,15 +10,15 @@ from stillroom.protocols import Parts
 
 @dataclass(frozen=True)
 class NoDenseMapConfig:
-    """There is nothing to choose."""
+    """No settings."""
 
     def build(self, parts: Parts | None = None) -> "NoDenseMap":
-        """Return the dense map that is none."""
+        """Return the null object."""
         return NoDenseMap()
 
 
 class NoDenseMap:
-    """Takes every frame and keeps nothing, so that no caller asks whether there is a dense map."""
+    """Ignores every frame, so that no caller has to check whether there is a dense map."""
 
     def integrate(self, keyframe: int, image: RgbdImage, excluded: Bool | None = None) -> None:
         """Do nothing."""

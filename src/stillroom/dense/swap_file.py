@@ -1,4 +1,4 @@
-"""A temporary file for what does not fit into memory; it vanishes with the process."""
+"""A temporary file for what does not fit into memory; it is deleted with the process."""
 
 import tempfile
 from pathlib import Path

@@ -1,1 +1,1 @@
-"""What does move: the sieves."""
+"""The sieves: rejection of dynamic features."""

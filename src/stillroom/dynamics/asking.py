@@ -1,8 +1,8 @@
-"""The life that every match sieve leads, in one place. A sieve itself is its idea.
+"""The life cycle of every match sieve, in one place. A sieve implements only `judge`, and its memory.
 
-Around `judge` this page does what all have in common: no question is put while relocalizing, where both papers switch
-rejection off; memories follow the corrections of the map; a verdict that leaves too few matches is not heard; and a
-frame that is done is handed to those who remember. `ImageMemory` keeps what was worked out about the present image.
+This module does what all of them need: no sieve is called while relocalizing, where both papers switch rejection off;
+memories are corrected with the map; a result that leaves too few matches is ignored; and a tracked frame is passed to
+sieves with a memory. `ImageMemory` caches what was computed for the present image.
 """
 
 from typing import Generic, TypeVar
@@ -21,23 +21,23 @@ T = TypeVar("T")
 
 
 class Asking:
-    """Puts the questions of tracking to a sieve, and leads it through its life."""
+    """Calls a sieve for tracking, and manages its life cycle."""
 
     def __init__(self, sieve: MatchSieve, world: Map) -> None:
-        """Take a fresh sieve, and the map whose corrections it follows."""
+        """Take a new sieve, and the map whose corrections it follows."""
         self.sieve, self._world = sieve, world
         self._memory = sieve if isinstance(sieve, RememberingSieve) else None
         self._jumps = JumpFollower()
 
     def judge(self, question: Question) -> Motion:
-        """Return the sieve's verdict, or as much of it as leaves enough matches to track with."""
+        """Return the sieve's result, or a weaker one that leaves enough matches to track with."""
         if question.stage is Stage.RELOCALIZATION:
             return question.nothing_moves()
         self._correct()
         return question.enough_of(self.sieve.judge(question))
 
     def remember(self, frame: Frame, T_cam_world: F64, keyframe: int) -> None:
-        """Hand a frame that is done to a sieve with a memory.
+        """Pass a tracked frame to a sieve with a memory.
 
         Args:
             frame: The frame.
@@ -55,10 +55,10 @@ class Asking:
 
 
 class ImageMemory(Generic[T]):
-    """What was worked out about the present image, and under which pose.
+    """A cache of what was computed for the present image, and at which pose.
 
-    Tracking asks about an image at several stages. What depends on the image alone is worked out once; what depends
-    on the pose too is worked out again where the pose has changed by more than it could tell.
+    Tracking calls a sieve at several stages of an image. What depends on the image alone is computed once; what depends
+    on the pose too is computed again where the pose has changed by more than its resolution.
     """
 
     def __init__(self, reach_m: float = 0.0, reach_rad: float = 0.0) -> None:
@@ -71,17 +71,17 @@ class ImageMemory(Generic[T]):
         self._kept: tuple[RgbdImage, F64, T] | None = None
 
     def of(self, image: RgbdImage) -> T | None:
-        """Return what was worked out about an image, under whatever pose; None where nothing was."""
+        """Return what was computed for an image, at any pose; None if nothing."""
         return self._kept[2] if self._kept is not None and self._kept[0] is image else None
 
     def near(self, image: RgbdImage, T_cam_world: F64) -> T | None:
-        """Return what was worked out about an image under nearly this pose (4, 4); None where nothing was."""
+        """Return what was computed for an image at nearly this pose (4, 4); None if nothing."""
         if self._kept is None or self._kept[0] is not image:
             return None
         return self._kept[2] if se3.are_near(self._kept[1], T_cam_world, *self._reach) else None
 
     def keep(self, image: RgbdImage, T_cam_world: F64, worked_out: T) -> T:
-        """Keep what was worked out about an image under a pose (4, 4), in place of all before; return it."""
+        """Keep what was computed for an image at a pose (4, 4), replacing older entries; return it."""
         self._kept = image, T_cam_world.copy(), worked_out
         return worked_out
 

@@ -1,4 +1,4 @@
-"""Several sieves in one socket: what any of them finds to move, moves."""
+"""Several sieves in one: what any of them finds dynamic is dynamic. Also the sieves that reject nothing."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from stillroom.dynamics.asking import Asking
 from stillroom.geometry.arrays import F64
 from stillroom.protocols import KeypointSieve, MatchSieve, Parts, Pending
 
-# The sieves of a system that believes the world to be static.
+# The sieves of a system that assumes a static world.
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class KeepAllKeypointsConfig:
 
 
 class KeepAllKeypoints:
-    """Sieve 1 that lets every keypoint pass."""
+    """Sieve 1 that keeps every keypoint."""
 
     def __call__(self, frame: Frame, semantics: Pending[Semantics]) -> Frame:
         """Return the frame as it is."""
@@ -42,7 +42,7 @@ class KeepAllConfig:
 
 
 class KeepAllMatches:
-    """Sieve 2 that lets every match pass."""
+    """Sieve 2 that keeps every match."""
 
     def judge(self, question: Question) -> Motion:
         """Return that nothing moves."""
@@ -50,22 +50,22 @@ class KeepAllMatches:
 
 
 class Chain:
-    """Puts each question to all its sieves; those with which too little would be left go unheard."""
+    """Calls all its sieves; those whose result would leave too few matches are ignored."""
 
     def __init__(self, sieves: Sequence[MatchSieve], world: Map) -> None:
-        """Take the sieves, at least one, the most trusted first, and the map; each is led through a life of its own."""
+        """Take the sieves, at least one, the most trusted first, and the map; each has its own life cycle."""
         self._asked = tuple(Asking(sieve, world) for sieve in sieves)
 
     def remember(self, frame: Frame, T_cam_world: F64, keyframe: int) -> None:
-        """Hand the frame on to all of them."""
+        """Pass the frame to all of them."""
         for asked in self._asked:
             asked.remember(frame, T_cam_world, keyframe)
 
     def corrected(self, T_new_old: F64) -> None:
-        """Do nothing: each of them is led on its own, and follows the map by itself."""
+        """Do nothing: each of them follows the corrections of the map itself."""
 
     def judge(self, question: Question) -> Motion:
-        """Judge that what moves by any account moves."""
+        """Return the union of what any of them finds dynamic."""
         together, *others = [asked.judge(question) for asked in self._asked]
         for verdict in others:
             both = together.united_with(verdict)

@@ -1,4 +1,4 @@
-"""What was believed of each place in the last image, so that a verdict goes with its cluster through time."""
+"""The log-odds of motion of each pixel of the last image, so that clusters inherit them over time."""
 
 from dataclasses import dataclass, field, replace
 
@@ -13,12 +13,12 @@ from stillroom.geometry.camera import Camera
 from stillroom.geometry.pixels import Shape, grown
 
 STEP_PX = 8
-"""Every so many-th pixel of a row and column is a sample."""
+"""Stride of the samples in rows and columns [px]."""
 STAYS, MOVES, MOVES_IN_BOX = 0, 1, 2
-"""What is said of all pixels of a cluster, as bits."""
+"""Bits that apply to all pixels of a cluster."""
 
 
-# Points on the clusters of an image: what stands for a cluster when its past is asked.
+# Points on the clusters of an image, which are compared with earlier images.
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class Sampler:
         self._last: tuple[Clusters, ClusterSamples] | None = None
 
     def take(self, frame: Frame, clusters: Clusters) -> ClusterSamples:
-        """Return the samples of a frame; asked again for the same clusters, the same ones."""
+        """Return the samples of a frame; the same ones for the same clusters."""
         if self._last is None or self._last[0] is not clusters:
             self._last = (clusters, self._take(frame, clusters))
         return self._last[1]
@@ -86,17 +86,18 @@ class _Image:
 
 
 class Belief:
-    """The last image's beliefs, pixel by pixel, as log-odds of moving.
+    """The log-odds of motion of each pixel of the last image.
 
     Clusters split and join from image to image, so none of them has an identity. A place has: a cluster of the present
-    image inherits the mean of what was believed where its points were seen in the last one, at about the same depth.
+    image inherits the mean log-odds of the pixels at which its points were seen in the last one, at about the same
+    depth.
     """
 
     def __init__(self, fades_in_s: float, reach_m: float) -> None:
-        """Start without beliefs.
+        """Start at zero log-odds.
 
         Args:
-            fades_in_s: Time in which a belief that nothing supports falls to 1/e [s].
+            fades_in_s: Time in which unsupported log-odds fall to 1/e [s].
             reach_m: How far a point may have moved in depth since the last image [m].
         """
         self._fades_in_s, self._reach_m = fades_in_s, reach_m
@@ -126,18 +127,18 @@ class Belief:
             self._last = replace(self._last, T_cam_world=self._last.T_cam_world @ se3.inverse(T_new_old))
 
     def remember(self, frame: Frame, clusters: Clusters, belief: F64, T_cam_world: F64) -> None:
-        """Keep the beliefs (K,) of a frame's clusters for the next image."""
+        """Keep the log-odds (K,) of a frame's clusters for the next image."""
         labels = clusters.labels[::STEP_PX, ::STEP_PX]
         padded = np.append(belief, 0.0).astype(np.float32)  # planes and the unknown read the last entry
         depth_m = frame.image.depth_m[::STEP_PX, ::STEP_PX].copy()
         self._last = _Image(frame.timestamp_s, T_cam_world.copy(), padded[np.maximum(labels, -1)], depth_m)
 
 
-# From verdicts on clusters to the pixels that move.
+# From log-odds of clusters to dynamic pixels.
 
 
 class MovingPixels:
-    """Marks the pixels that move; the same verdicts on the same clusters are marked once."""
+    """Marks the dynamic pixels; the result is cached for the same clusters and decisions."""
 
     def __init__(self, margin_px: int) -> None:
         """Start with nothing marked.
@@ -151,8 +152,8 @@ class MovingPixels:
     def of(self, clusters: Clusters, belief: F64, in_boxes: Bool) -> Bool:
         """Return the pixels (H, W) that move; not to be written to.
 
-        Those of moving clusters and of what stands in the boxes; of other clusters, what lies in a box and is not
-        believed static; and what is unknown beside all these.
+        Those of moving clusters and of clusters that boxes claim; of other clusters, what lies in a box and is not
+        classified as static; and unknown pixels next to all these.
 
         Args:
             clusters: The clusters.
@@ -165,7 +166,7 @@ class MovingPixels:
         return self.marked(clusters, said, in_boxes)
 
     def marked(self, clusters: Clusters, said_of: U8, in_boxes: Bool) -> Bool:
-        """Return the pixels (H, W) of clusters of which that is said (K,); arguments and result otherwise as `of`."""
+        """Return the pixels (H, W) of clusters by their bits (K,); other arguments and result as in `of`."""
         said = np.append(np.zeros(2, dtype=np.uint8), said_of)  # labels −2 and −1 read the first two
         last = self._last
         if last is not None and last[0] is clusters and np.array_equal(last[1], said):
@@ -186,7 +187,7 @@ class MovingPixels:
 
 @njit(nogil=True, cache=True)
 def look_up(labels: I16, said: U8, in_boxes: Bool, moving: U8) -> None:
-    """Set `moving` (P,) to 1 where what is said of the pixel's label (P,) says so, else to 0."""
+    """Set `moving` (P,) to 1 where the bits of the pixel's label (P,) call for it, else to 0."""
     for i in range(len(labels)):
         word = said[labels[i] + 2]
         moving[i] = (word & MOVES) | ((word >> 1) & np.uint8(in_boxes[i]))

@@ -1,4 +1,4 @@
-"""OC-SLAM's combined mismatch rejection (2.5): boxes and clusters together say what moves."""
+"""OC-SLAM's combined mismatch rejection (2.5): boxes and clusters together decide what is dynamic."""
 
 from dataclasses import dataclass, field, replace
 
@@ -19,7 +19,7 @@ from stillroom.geometry.pixels import values_at
 from stillroom.protocols import Parts
 
 SAME_M, SAME_RAD = 0.01, 0.003
-"""Poses this close to each other see the same past: a centimetre at three metres."""
+"""Poses this close to each other give the same result: a centimetre at three metres."""
 
 
 @dataclass(frozen=True)
@@ -27,20 +27,20 @@ class ClusterSieveConfig:
     """The sieve of the whole `oc-slam` preset (OC-SLAM 2.5).
 
     A cluster has pairs: its matches, which fail when they leave their epipolar line or their map point's place, and
-    its points, which fail when earlier depth images saw through where they are now. More than half failing speaks for
-    motion, less than half against it; what is said of a cluster goes with it through the next images as log-odds.
+    its points, which fail when earlier depth images saw through where they are now. More than half failing is evidence
+    for motion, less than half against it; the evidence is accumulated over images as log-odds.
 
     Differs from the paper: depth pairs stand beside the matches, because a cluster that has just appeared has no
-    matches; one image does not decide alone; and a box is a reason for suspicion, no proof.
+    matches; one image does not decide alone; and a box is prior evidence, no proof.
 
     Attributes:
-        boxes: The sieve for what lies in boxes.
-        history: The earlier depth images that clusters are held against. The oldest bounds how long a thing counts as
+        boxes: The sieve for keypoints in boxes.
+        history: The earlier depth images that clusters are compared with. The oldest bounds how long a thing counts as
             moving after it came to rest: less than in boxes, because it may be a chair.
-        gain: What one image can add to the log-odds when all pairs say the same.
+        gain: What one image can add to the log-odds when all pairs agree.
         suspicion: What a box adds to the log-odds of a cluster that it covers.
-        limit: Largest log-odds: how much a cluster's past can weigh.
-        min_known_share: Share of a cluster's points that earlier images must know of before they count.
+        limit: Largest log-odds, which bounds the weight of earlier images.
+        min_known_share: Share of a cluster's points that must be visible in earlier images before they count.
         min_pairs: Matches that a cluster needs before they count.
         max_step_m, max_step_share: A match fails when it lies farther than this, or this share of its depth, from its
             map point.
@@ -69,11 +69,11 @@ class ClusterSieveConfig:
 
 @dataclass(frozen=True)
 class _Past:
-    """What earlier images say of the clusters of one image, seen from a pose.
+    """Evidence of earlier images on the clusters of one image, at a pose.
 
     Attributes:
-        inherited: Log-odds that come with them (K,).
-        failing: Share of their points where it was empty before (K,), ½ where unknown.
+        inherited: Log-odds inherited from the last image (K,).
+        failing: Share of their points in former free space (K,), ½ where unknown.
     """
 
     inherited: F64
@@ -84,7 +84,7 @@ class ClusterSieve:
     """Sieve 2 of the whole `oc-slam`."""
 
     def __init__(self, config: ClusterSieveConfig, seed: int = 0) -> None:
-        """Start without a past."""
+        """Start without earlier images."""
         self.config = config
         self._boxes = config.boxes.build()
         self._history = DepthHistory(config.history)
@@ -95,7 +95,7 @@ class ClusterSieve:
         self._believed: ImageMemory[tuple[Clusters, F64]] = ImageMemory()
 
     def judge(self, question: Question) -> Motion:
-        """Judge boxes and clusters, and every keypoint by what it lies on."""
+        """Classify boxes and clusters, and every keypoint by what it lies on."""
         motion, known, frame = self._boxes.judge(question), question.known, question.frame
         clusters = known.clusters
         if clusters is None:
@@ -104,12 +104,12 @@ class ClusterSieve:
         self._believed.keep(frame.image, question.T_cam_world, (clusters, belief))
         moving = self._pixels.of(clusters, belief, known.movable)
         raw_px = frame.keypoints.raw_px
-        moves = values_at(moving, raw_px) & ~known.movable_at(raw_px)  # in boxes their own sieve knows better
+        moves = values_at(moving, raw_px) & ~known.movable_at(raw_px)  # in boxes their own sieve decides
         moves |= np.append(belief > 0, (False, False))[clusters.labels_at(raw_px)]
         return Motion(motion.is_static & ~moves, moving)
 
     def remember(self, frame: Frame, T_cam_world: F64, keyframe: int) -> None:
-        """Take depth image and beliefs into the memories."""
+        """Store the depth image and the log-odds."""
         believed = self._believed.of(frame.image)
         if believed is not None:
             self._belief.remember(frame, *believed, T_cam_world)
@@ -117,7 +117,7 @@ class ClusterSieve:
         self._boxes.remember(frame, T_cam_world, keyframe)
 
     def corrected(self, T_new_old: F64) -> None:
-        """Move the memories along."""
+        """Correct the stored poses."""
         self._boxes.corrected(T_new_old)
         self._history.follow(T_new_old)
         self._belief.follow(T_new_old)
@@ -132,7 +132,7 @@ class ClusterSieve:
         return np.asarray(np.clip(belief, -config.limit, config.limit))
 
     def _past_of(self, question: Question, clusters: Clusters) -> "_Past":
-        """Return what earlier images say; asked again from nearly the same pose, what they said before."""
+        """Return the evidence of earlier images; cached for nearly the same pose."""
         frame, T_cam_world = question.frame, question.T_cam_world
         past = self._past.near(frame.image, T_cam_world)
         if past is None:
@@ -143,7 +143,7 @@ class ClusterSieve:
         return past
 
     def _failing_points(self, frame: Frame, clusters: Clusters, samples: ClusterSamples, T_cam_world: F64) -> F64:
-        """Return the share (K,) of each cluster's points that lie where it was empty before; ½ where unknown."""
+        """Return the share (K,) of each cluster's points that lie in former free space; ½ where unknown."""
         evidence = self._history.evidence(frame.camera, samples.in_world(T_cam_world), frame.timestamp_s)
         fails = evidence.empty > 0
         holds = ~fails & (evidence.agrees > 0)

@@ -1,4 +1,4 @@
-"""What the depth camera saw before, asked whether a surface was there then too."""
+"""Earlier depth images: was a surface at the same place before?"""
 
 from collections import deque
 from dataclasses import dataclass, field, replace
@@ -15,17 +15,17 @@ from stillroom.geometry.camera import Camera, Lens
 from stillroom.geometry.distortion import distorted
 
 STRIDE = 4
-"""Every fourth pixel of a depth image is remembered."""
+"""Stride of the stored depth images [px]."""
 
 
 @dataclass(frozen=True)
 class DepthHistoryConfig:
-    """How far back to look, and how exactly.
+    """Ages and tolerances of the comparison with earlier depth images.
 
     Attributes:
-        interval_s: Time between remembered images.
-        ages_s: The remembered images nearest to these ages are asked; the oldest bounds how long something must stand
-            still to pass for static.
+        interval_s: Time between stored images.
+        ages_s: Ages of the images that are compared, the nearest stored ones; the oldest bounds how long something must
+            stand still to be classified as static.
         tolerance_m, tolerance_share: Two depths agree when they differ by less than the larger of the first and this
             share of the depth: Kinect noise, and the pose's.
     """
@@ -38,11 +38,11 @@ class DepthHistoryConfig:
 
 @dataclass(frozen=True)
 class Evidence:
-    """What earlier images say of N points.
+    """Evidence of earlier depth images on N points.
 
     Attributes:
         agrees: In how many of them a surface lay where the point is now (N,).
-        empty: In how many the ray passed through that place to something behind it (N,): it moved there since.
+        empty: In how many the ray passed through that place to something behind it (N,): the point moved there since.
     """
 
     agrees: I64
@@ -57,16 +57,16 @@ class _Remembered:
 
 
 class DepthHistory:
-    """A few seconds of small depth images with their poses."""
+    """A few seconds of subsampled depth images with their poses."""
 
     def __init__(self, config: DepthHistoryConfig) -> None:
-        """Start without a past."""
+        """Start without images."""
         self.config = config
         length = int(np.ceil(max(config.ages_s) / config.interval_s)) + 2
         self._images: deque[_Remembered] = deque(maxlen=length)
 
     def remember(self, frame: Frame, T_cam_world: F64) -> None:
-        """Keep the frame's depth image, if the last one kept is old enough."""
+        """Store the frame's depth image, if the last stored one is old enough."""
         stamp = frame.timestamp_s
         if self._images and stamp - self._images[-1].timestamp_s < self.config.interval_s:
             return
@@ -74,13 +74,13 @@ class DepthHistory:
         self._images.append(_Remembered(stamp, T_cam_world.copy(), small))
 
     def follow(self, T_new_old: F64) -> None:
-        """Move what is remembered by a motion (4, 4) of the world's coordinates."""
+        """Move the stored poses by a motion (4, 4) of the world's coordinates."""
         T_old_new = se3.inverse(T_new_old)
         moved = [replace(image, T_cam_world=image.T_cam_world @ T_old_new) for image in self._images]
         self._images = deque(moved, maxlen=self._images.maxlen)
 
     def evidence(self, camera: Camera, points_world_m: F64, now_s: float) -> Evidence:
-        """Ask earlier images about points (N, 3) [m, world]."""
+        """Compare points (N, 3) [m, world] with earlier images."""
         agrees = np.zeros(len(points_world_m), dtype=np.int64)
         empty = np.zeros(len(points_world_m), dtype=np.int64)
         tolerances = self.config.tolerance_m, self.config.tolerance_share
@@ -89,7 +89,7 @@ class DepthHistory:
         return Evidence(agrees, empty)
 
     def _asked(self, now_s: float) -> list[_Remembered]:
-        """Return the remembered images nearest to the configured ages, each once."""
+        """Return the stored images nearest to the configured ages, each once."""
         if not self._images:
             return []
         ages_s = np.array([now_s - image.timestamp_s for image in self._images])
@@ -115,9 +115,10 @@ class SmallView(NamedTuple):
 def ask(
     view: SmallView, points_world_m: F64, tolerance_m: float, tolerance_share: float, agrees: I64, empty: I64
 ) -> None:
-    """Add what one small depth image says of points (N, 3) to `agrees` and `empty` (N,).
+    """Add the evidence of one small depth image on points (N, 3) to `agrees` and `empty` (N,).
 
-    The pixel and its eight neighbours are asked: one that agrees is enough, and all that know must lie behind.
+    The pixel and its eight neighbours are compared: one that agrees is enough; for `empty` all known ones must lie
+        behind.
 
     Args:
         view: The image.

@@ -1,4 +1,4 @@
-"""OC-SLAM's epipolar sieve, as it works on real data: what lies in a box moves until it is shown to be static."""
+"""OC-SLAM's epipolar sieve, adapted to real data: what lies in a box is dynamic until it is shown to be static."""
 
 from dataclasses import dataclass, field
 
@@ -21,13 +21,13 @@ class EpipolarConfig:
 
     Differs from the paper: the fundamental matrix is Eq. 1's own F = K⁻ᵀ[t]×RK⁻¹, taken from the tracked pose and the
     keyframe that saw the point first, not estimated between neighbouring frames, where the camera has hardly moved and
-    F is degenerate; depth decides what the line distance cannot tell (a surface must have been where the keypoint is
-    now in earlier depth images, and never absent from there); and what is not shown to be static counts as moving.
+    F is degenerate; depth decides where the line distance cannot (a surface must have been where the keypoint is
+    now in earlier depth images, and never absent from there); and what is not shown to be static is dynamic.
     The paper's own rule is `dynamics.kind = "paper-epipolar"`.
 
     Attributes:
         motion_model_px, keyframe_px, local_map_px: Largest distance from the epipolar line at each stage, on the
-            finest level of the pyramid; tighter while the constant-velocity model leads (paper 2.2).
+            finest level of the pyramid; tighter in the motion-model stage (paper 2.2).
         min_agreeing: Earlier depth images that must show the surface.
         history: Those images.
     """
@@ -52,12 +52,12 @@ class EpipolarSieve:
     """Sieve 2 of `oc-slam`."""
 
     def __init__(self, config: EpipolarConfig) -> None:
-        """Start without a past."""
+        """Start without earlier images."""
         self.config = config
         self.history = DepthHistory(config.history)
 
     def judge(self, question: Question) -> Motion:
-        """Judge every keypoint in a box by depth, and the matched ones by their epipolar lines too."""
+        """Classify every keypoint in a box by depth, and the matched ones by their epipolar lines too."""
         inside, matches = question.may_move, question.matches
         is_static = ~inside
         is_static[inside] = self._was_there_before(question.frame, np.flatnonzero(inside), question.T_cam_world)
@@ -67,11 +67,11 @@ class EpipolarSieve:
         return Motion(is_static, question.known.movable)
 
     def remember(self, frame: Frame, T_cam_world: F64, keyframe: int) -> None:
-        """Take the depth image into the history."""
+        """Add the depth image to the history."""
         self.history.remember(frame, T_cam_world)
 
     def corrected(self, T_new_old: F64) -> None:
-        """Move the history along."""
+        """Correct the poses of the history."""
         self.history.follow(T_new_old)
 
     def _was_there_before(self, frame: Frame, keypoint: I64, T_cam_world: F64) -> Bool:

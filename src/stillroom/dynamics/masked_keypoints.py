@@ -1,4 +1,4 @@
-"""Keypoints on what may move are dropped before tracking: the a-priori mask of DynaSLAM and PSPNet-SLAM."""
+"""Keypoints on what is potentially dynamic are dropped before tracking: DynaSLAM's and PSPNet-SLAM's a-priori mask."""
 
 from dataclasses import dataclass, replace
 
@@ -13,11 +13,11 @@ from stillroom.protocols import KeypointSieve, Parts, Pending
 
 @dataclass(frozen=True)
 class MaskedKeypointsConfig:
-    """Which keypoints lie on what may move.
+    """Which keypoints lie on what is potentially dynamic.
 
     Attributes:
-        border_px: Keypoints this near to the mask are dropped too [px]: a corner of the silhouette belongs to nobody
-            (docs/reference.md#dynaslam). Segmenters grow their masks themselves; this comes on top.
+        border_px: Keypoints this near to the mask are dropped too [px]: a corner of the silhouette is no surface point
+            (docs/reference.md#dynaslam). Segmenters dilate their masks themselves; this is in addition.
         min_keypoints: The sieve is off where fewer keypoints than this would stay: such a frame is lost either way
             unless the mask is wrong.
     """
@@ -39,7 +39,7 @@ class MaskedKeypoints:
         self.config = config
 
     def __call__(self, frame: Frame, semantics: Pending[Semantics]) -> Frame:
-        """Return the frame; static is what was so before and does not lie on anything movable."""
+        """Return the frame; static are those that were so before and lie on nothing potentially dynamic."""
         known = semantics.result()
         if not known.has_any:
             return frame
@@ -51,5 +51,5 @@ class MaskedKeypoints:
     def _grown(self, known: Semantics) -> Semantics:
         if self.config.border_px == 0:
             return known
-        # Only the mask is asked; the instances are not grown with it, and would no longer agree with it.
+        # Only the mask is used; the instances are not dilated with it, and would no longer agree with it.
         return replace(known, mask=grown(known.movable, self.config.border_px, Shape.ELLIPSE), instances=())

@@ -1,4 +1,4 @@
-"""OC-SLAM's epipolar sieve to the letter (paper 2.2; docs/reference.md#oc-slam)."""
+"""OC-SLAM's epipolar sieve exactly as in the paper (paper 2.2; docs/reference.md#oc-slam)."""
 
 from dataclasses import dataclass
 
@@ -18,12 +18,12 @@ _MIN_FOR_F = 15
 
 @dataclass(frozen=True)
 class PaperEpipolarConfig:
-    """The paper's rule, for comparison; `epipolar` is the one that works.
+    """The paper's rule, for comparison; `epipolar` is the one for real data.
 
     A fundamental matrix from the matches outside the boxes; matches inside them that lie further from their epipolar
     line than a threshold are removed; off while relocalizing and where too few matches would stay. The paper gives no
-    thresholds, only that the motion model's is the smaller one. Keypoints that match nothing are not judged, so that
-    keyframes make map points of people's.
+    thresholds, only that the motion model's is the smaller one. Unmatched keypoints are not classified, so that
+    keyframes create map points on people.
 
     Attributes:
         motion_model_px, keyframe_px: Largest distance from the epipolar line at the two stages.
@@ -40,7 +40,7 @@ class PaperEpipolarConfig:
 
 
 class PaperEpipolarSieve:
-    """Sieve 2 by the letter. What a frame's first stage removed stays removed at its later ones."""
+    """Sieve 2 as in the paper. What a frame's first stage removed stays removed at its later ones."""
 
     def __init__(self, config: PaperEpipolarConfig, seed: int) -> None:
         """Prepare the robust estimator."""
@@ -50,7 +50,7 @@ class PaperEpipolarSieve:
         self._is_static = np.zeros(0, dtype=np.bool_)
 
     def judge(self, question: Question) -> Motion:
-        """Judge the matches inside boxes by a fundamental matrix of those outside (Eq. 1–2)."""
+        """Classify the matches inside boxes by a fundamental matrix of those outside (Eq. 1–2)."""
         stage, frame, matches = question.stage, question.frame, question.matches
         if frame.image.index != self._judged:
             self._judged, self._is_static = frame.image.index, np.ones(len(frame), dtype=np.bool_)

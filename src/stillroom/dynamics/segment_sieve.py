@@ -1,4 +1,4 @@
-"""The rule for what no class calls movable: an object whose segment moves against the scene is dynamic."""
+"""The rule for objects without a movable class: one whose segment moves against the scene is dynamic."""
 
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -29,9 +29,9 @@ class MovedSegmentsConfig:
     """When a segment of an image moves against the scene (PSPNet-SLAM III.A, Figure 2).
 
     The segments are those of the depth cloud (`clusters.kind = "depth"`), which have no class, with what the network
-    calls a chair, a monitor or a bottle taken apart from what it touches. Points spread over a segment are looked for
-    in an earlier image, each where it would have been if it stood still. What more than a share of them says is a vote
-    for or against motion; votes go with the place through the next images, as log-odds.
+    calls a chair, a monitor or a bottle taken apart from what it touches. Points spread over a segment are searched in
+    an earlier image, each where it would have been if it were static. The majority, by `share`, is a vote for or
+    against motion; votes are accumulated over images as log-odds.
 
     Differs from the paper, which gives no rule for how far is moved: the earlier image is not the very last one, to
     which little has moved; and one image does not decide alone.
@@ -39,16 +39,15 @@ class MovedSegmentsConfig:
     Attributes:
         earlier_s: Age of the image that the present one is compared with [s].
         max_points: Points of a segment that are tested, at most; keypoints come on top.
-        min_points: Fewer that say anything cast no vote.
+        min_points: With fewer tested points there is no vote.
         share: A segment moves when more than this share of its points does.
-        plain: How much a point counts for standing still that has nothing in the image to be known by, and where depth
-            was the same before; against 1 of one that is recognised. Part of what slides within its own outline looks
-            so, too.
+        plain: Weight, as evidence for static, of a point without texture whose depth was the same before; a matched
+            point has weight 1. Part of what slides within its own outline looks the same.
         tolerance_m, tolerance_share: Depth is the same within the larger of the first and this share of it.
-        max_turn_rad_s: Nothing is found to move while the camera turns faster. Depth and colour are some 30 ms apart,
-            which then displaces one against the other by more than many a segment is wide.
-        gain: What an image adds to the log-odds when all points say the same.
-        limit: Largest log-odds: how much a segment's past can weigh.
+        max_turn_rad_s: Nothing is classified as dynamic while the camera turns faster. Depth and colour are some 30 ms
+            apart, which then displaces one against the other by more than many a segment is wide.
+        gain: What an image adds to the log-odds when all points agree.
+        limit: Largest log-odds, which bounds the weight of earlier images.
         fades_in_s: Time in which unsupported log-odds fall to 1/e.
         reach_m: How far a segment may move in depth between two images.
         margin_px: What lies this close to a moving segment and on no plane or other segment moves too.
@@ -78,7 +77,7 @@ class MovedSegmentsConfig:
 
 @dataclass(frozen=True)
 class _Finding:
-    """What was found of an image from a pose: its segments, what is read of it, and the segments' log-odds (K,)."""
+    """The result for an image at a pose: its segments, the test's view, the segments' log-odds (K,)."""
 
     clusters: Clusters
     view: ImageView = field(repr=False)
@@ -86,10 +85,10 @@ class _Finding:
 
 
 class MovedSegments:
-    """Sieve 2 by segments. Asks once an image, under the first pose that was found and not guessed."""
+    """Sieve 2 by segments. Runs once an image, at the first pose that was tracked and not only predicted."""
 
     def __init__(self, config: MovedSegmentsConfig) -> None:
-        """Start without a past."""
+        """Start without earlier images."""
         self.config = config
         self._past = Past(config.earlier_s)
         self._sampler = Sampler()
@@ -98,7 +97,7 @@ class MovedSegments:
         self._finding: ImageMemory[_Finding] = ImageMemory(*NEAR)
 
     def judge(self, question: Question) -> Motion:
-        """Judge that what may move does, and every segment that is found to."""
+        """Classify as dynamic what is potentially dynamic, and every segment that is found to move."""
         moving, clusters = question.known.movable, question.known.clusters
         finding = None if clusters is None else self._find(question, clusters)
         if finding is not None:
@@ -107,20 +106,20 @@ class MovedSegments:
         return Motion(~values_at(moving, question.frame.keypoints.raw_px), moving)
 
     def remember(self, frame: Frame, T_cam_world: F64, keyframe: int) -> None:
-        """Take the image and what is believed of its segments into the memories."""
+        """Store the image and the log-odds of its segments."""
         finding = self._finding.of(frame.image)
         if finding is not None:
             self._belief.remember(frame, finding.clusters, finding.belief, T_cam_world)
             self._past.remember(frame, finding.view, T_cam_world)
 
     def corrected(self, T_new_old: F64) -> None:
-        """Move the memories along."""
+        """Correct the stored poses."""
         self._past.follow(T_new_old)
         self._belief.follow(T_new_old)
         self._finding.forget()
 
     def _find(self, question: Question, clusters: Clusters) -> _Finding | None:
-        """Return what is found of a frame: what was found before, from nearly here; None under a guess of the pose."""
+        """Return the result for a frame, cached for nearly the same pose; None at a predicted pose."""
         frame, T_cam_world = question.frame, question.T_cam_world
         known = self._finding.near(frame.image, T_cam_world)
         if known is not None or question.stage not in (Stage.LOW_COST, Stage.LOCAL_MAP):
@@ -143,7 +142,7 @@ class MovedSegments:
         return np.asarray(np.clip(belief, -config.limit, config.limit))
 
     def _votes(self, frame: Frame, clusters: Clusters, view: ImageView, earlier: EarlierImage, T_cam_world: F64) -> F64:
-        """Return what an earlier image says of each segment (K,): −1 static to 1 moving, 0 where it cannot tell."""
+        """Return the vote of an earlier image on each segment (K,): −1 static to 1 moving, 0 where unknown."""
         config, camera = self.config, frame.camera
         points = self._points_on(frame, clusters)
         T_then_now = earlier.T_cam_world @ se3.inverse(T_cam_world)

@@ -1,4 +1,4 @@
-"""The plain answer: whatever may move is taken to move."""
+"""The simplest sieve: whatever is potentially dynamic is dynamic."""
 
 from dataclasses import dataclass
 
@@ -9,7 +9,7 @@ from stillroom.protocols import Parts
 
 @dataclass(frozen=True)
 class WholeBoxesConfig:
-    """All of a box or mask is thrown away."""
+    """All of a box or mask is rejected."""
 
     def build(self, parts: Parts | None = None) -> "WholeBoxes":
         """Return the sieve."""
@@ -17,8 +17,8 @@ class WholeBoxesConfig:
 
 
 class WholeBoxes:
-    """Sieve 2 that throws away everything movable."""
+    """Sieve 2 that rejects everything potentially dynamic."""
 
     def judge(self, question: Question) -> Motion:
-        """Return that everything moves that may."""
+        """Classify everything potentially dynamic as dynamic."""
         return question.all_that_may_moves()

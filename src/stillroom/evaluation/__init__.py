@@ -1,1 +1,1 @@
-"""How good a trajectory is, and what it cost: ATE, RPE, coverage, time, memory."""
+"""Evaluation: ATE, RPE, coverage, ghosts, time and memory."""

@@ -80,7 +80,7 @@ def _to_edges(products: tuple[float, ...], is_triangle: bool) -> float:
 
 @dataclass(frozen=True)
 class TrueScene:
-    """What a renderer knows of a sequence, in its world.
+    """The ground truth of a rendered scene, in the renderer's world frame.
 
     Attributes:
         patches_m: The static surface, exactly: corner and two edges of parallelograms and triangles (Q, 9) [m].
@@ -112,11 +112,11 @@ class GhostTruthConfig:
 def ghosts_by_truth(
     points_m: Floats, scene: TrueScene, config: GhostTruthConfig | None = None
 ) -> tuple[GhostFigure, SurfaceFigure]:
-    """Find the points of a map that are off the static surface where a mover was, and how exact the others are.
+    """Find the points of a map that are off the static surface where a mover was, and the surface error of the others.
 
     Args:
         points_m: The map (N, 3) [m], in the renderer's world.
-        scene: What the renderer knows.
+        scene: The true scene.
         config: When a point is a ghost.
     """
     config = config or GhostTruthConfig()

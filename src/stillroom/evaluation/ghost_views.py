@@ -1,4 +1,4 @@
-"""Ask depth images about points of the world: is a surface there, or does the ray go on behind it?"""
+"""Compare points of the world with depth images: is there a surface, or does the ray pass through?"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -31,7 +31,7 @@ class DepthView:
 
 @dataclass(frozen=True)
 class DepthSightings:
-    """What several depth images say of N points.
+    """What several depth images show at N points.
 
     Attributes:
         agree: How many of them have a surface where the point is (N,).
@@ -50,11 +50,11 @@ def sightings(
     tolerance_share: float,
     reach_px: int = 1,
 ) -> DepthSightings:
-    """Ask every view about every point.
+    """Compare every point with every view.
 
-    Depth images are wrong by a pixel or two where one thing ends before another, and poses by as much. So a view
-    says that a ray passes only if all that it knows within `reach_px` of the point's pixel lies behind the point, the
-    pixel itself among it; and it agrees if any of these agrees.
+    Depth images are wrong by a pixel or two where one thing ends before another, and poses by as much. So a ray passes
+    only if all known depths within `reach_px` of the point's pixel, the pixel included, lie behind the point; and a
+    view agrees if any of these agrees.
 
     Args:
         points_world_m: The points (N, 3) [m, world].
@@ -62,7 +62,7 @@ def sightings(
         camera: Their calibration.
         tolerance_m, tolerance_share: A surface is behind the point, or before it, when its depth differs from the
             point's by more than the first and by more than this share of the depth measured.
-        reach_px: How many pixels around the point's own are asked.
+        reach_px: How many pixels around the point's own are compared.
     """
     points = np.ascontiguousarray(points_world_m, dtype=np.float64)
     agree, passed = np.zeros(len(points), dtype=np.int32), np.zeros(len(points), dtype=np.int32)
@@ -76,7 +76,7 @@ def settled(
 ) -> F64:
     """Move points (N, 3) onto the mean of the surfaces that the views see near them, along the views' rays.
 
-    What noise has smeared over several centimetres comes to lie in one layer.
+    A surface that noise has spread over several centimetres becomes one layer.
 
     Args:
         points_world_m: The points (N, 3) [m, world].
@@ -100,8 +100,8 @@ class _Taken(NamedTuple):
         depth_m: Depth (H, W) float32 [m].
         T_cam_world: Pose (4, 4).
         lens: Of the camera.
-        bounds_px: Extent of the undistorted image, x_min y_min x_max y_max [px]; beyond it the distortion model means
-            nothing.
+        bounds_px: Extent of the undistorted image, x_min y_min x_max y_max [px]; beyond it the distortion model is not
+            valid.
     """
 
     depth_m: F32
@@ -141,7 +141,7 @@ def _ask(
     agree: I32,
     passed: I32,
 ) -> None:
-    """Add what one depth image (H, W) says of points (N, 3) to `agree` and `passed` (N,); see `sightings`."""
+    """Compare points (N, 3) with one depth image (H, W) and update `agree` and `passed` (N,); see `sightings`."""
     depth_m = view.depth_m
     height, width = depth_m.shape
     for i in range(len(points_world_m)):
@@ -170,7 +170,7 @@ def _add_offsets(
     total_m: F64,
     count: I32,
 ) -> None:
-    """Add the way from each point (N, 3) to the surface that one image (H, W) sees near it; see `settled`."""
+    """Add the offset of each point (N, 3) to the surface that one image (H, W) sees near it; see `settled`."""
     depth_m = view.depth_m
     height, width = depth_m.shape
     for i in range(len(points_world_m)):

@@ -1,10 +1,10 @@
-"""How clean and how complete a dense map is: what figures left behind in it, and how much of the room it holds.
+"""How clean and how complete a dense map is: the ghosts of people in it, and the share of the room that it covers.
 
-A map is a set of points, as any method leaves it. It is held against one of two things:
+A map is a set of points, of any method. It is compared with one of two references:
 
 - `ghost_truth`: rendered sequences, whose surfaces are known exactly;
-- free space, here: real sequences in which the room is first seen empty. What those first images saw through is free; a
-  map made of the later images that has points there holds ghosts.
+- free space, here: real sequences in which the room is first seen empty. What those first images saw through is free
+  space; points there of a map made of later images are ghosts.
 """
 
 from collections.abc import Sequence
@@ -30,12 +30,12 @@ SETTLING = 2
 
 @dataclass(frozen=True)
 class GhostFigure:
-    """What of a map is left behind by somebody who was there for a while.
+    """The ghosts in a map: points left by people and objects that moved.
 
     Attributes:
         n_points: Points of the map.
         n_ghosts: Those that are ghosts.
-        n_suspects: Those that would be by what speaks against them alone; the others of these were cleared.
+        n_suspects: Those that rays alone would call ghosts; agreeing surfaces cleared some of them.
         is_ghost: Which (N,).
     """
 
@@ -51,7 +51,7 @@ class GhostFigure:
 
     @property
     def share(self) -> float:
-        """Ghosts per point, 0 to 1; 0 for a map without points, which completeness blames."""
+        """Ghosts per point, 0 to 1; 0 for a map without points, whose completeness is 0."""
         return self.n_ghosts / self.n_points if self.n_points else 0.0
 
     def to_dict(self) -> dict[str, Any]:
@@ -62,7 +62,7 @@ class GhostFigure:
 
 @dataclass(frozen=True)
 class CompletenessFigure:
-    """How much of a surface a map holds.
+    """How much of a surface a map covers.
 
     Attributes:
         n_points: Points of the surface.
@@ -92,7 +92,7 @@ class SurfaceFigure:
 
     Attributes:
         error_m: Distances [m] of the points that are no ghosts; None where there are none.
-        n_astray: Points that lie off the surface though nobody was there: noise, and wrong poses.
+        n_astray: Points off the surface where nothing moved: noise, and wrong poses.
     """
 
     error_m: Statistics | None
@@ -103,7 +103,7 @@ class SurfaceFigure:
         return asdict(self)
 
 
-# How much of a surface a map holds.
+# How much of a surface a map covers.
 
 
 def completeness(points_m: Floats, surface_m: Floats, within_m: float = WITHIN_M) -> CompletenessFigure:
@@ -156,7 +156,7 @@ class Gatherer:
         Args:
             depth_m: Depth (H, W) [m]; 0 where unknown.
             T_world_cam: Its pose (4, 4).
-            keep: Which pixels (H, W) to take; all where not given.
+            keep: Which pixels (H, W) to take; all by default.
             reach_m: Depths beyond are left out [m].
         """
         small_m = depth_m[:: self._stride, :: self._stride]
@@ -250,7 +250,7 @@ class FreeSpaceConfig:
         voxel_m: The empty room is sampled so finely [m].
         seen_by: A surface of the room was seen by so many images of the room …
         again_by: … and again by so many of those that the map is made of.
-        reach_m: Surfaces further from the camera are left out [m]: their depth is too uncertain to ask for.
+        reach_m: Surfaces further from the camera are left out [m]: their depth is too uncertain.
     """
 
     tolerance_m: float = 0.05
@@ -305,7 +305,7 @@ def empty_room(reference: Sequence[DepthView], camera: Camera, config: FreeSpace
 def seen_again(
     surface_m: Floats, views: Sequence[DepthView], camera: Camera, config: FreeSpaceConfig | None = None
 ) -> F64:
-    """Return the part of a surface (N, 3) that later images see too: no map can hold what nobody looks at.
+    """Return the part of a surface (N, 3) that later images see too: a map cannot cover what was not in view.
 
     What stands before it, or was moved away since, is not seen again.
 

@@ -18,14 +18,15 @@ HEADER = ("error", "ground truth", "rmse", "mean", "median", "std", "min", "max"
 
 @dataclass(frozen=True)
 class Comparison:
-    """An estimate read against one ground truth.
+    """An estimate compared with one ground truth.
 
     Attributes:
         groundtruth: Which ground truth, in words that follow "ground truth".
         n_compared: Poses compared.
         ate_se3_m, ate_sim3_m: Absolute errors after rigid alignment, and after one that may scale [m].
         scale: The scale that Sim(3) alignment found.
-        still_camera_m: ATE RMSE, SE(3), of a camera that never moved, over the same poses [m].
+        still_camera_m: ATE RMSE, SE(3), of the static-pose baseline (a camera that never moved), over the same poses
+            [m].
         rpe_1s: Drift over 1 s [m/s, deg/s], TUM's rule; None for a trajectory too short for it.
         rpe_30_frames: Drift over 30 poses [m, deg], evo's rule; None for a trajectory too short for it.
     """
@@ -77,11 +78,11 @@ class Evaluation:
 
     @property
     def for_rpe(self) -> Comparison:
-        """The comparison whose relative errors are to be read."""
+        """The comparison whose relative errors are meaningful."""
         return self.at_camera or self.as_given
 
     def against(self, baseline: "Evaluation", name: str) -> "Evaluation":
-        """Return the same figures with their improvement over a baseline's, which goes by a name."""
+        """Return the same figures with their improvement over a named baseline."""
         ate_percent = improvement_percent(baseline.as_given.ate_se3_m.rmse, self.as_given.ate_se3_m.rmse)
         ours, theirs = self.for_rpe.rpe_1s, baseline.for_rpe.rpe_1s
         if ours is None or theirs is None:
@@ -103,7 +104,7 @@ def evaluate(
     n_given: int | None = None,
     max_gap_s: float = TUM_MAX_GAP_S,
 ) -> Evaluation:
-    """Measure a trajectory in every way that tables quote.
+    """Compute all figures of a trajectory that the literature reports.
 
     Args:
         estimate: Poses of the camera, one for each tracked frame.
@@ -124,7 +125,7 @@ def evaluate(
 
 
 def compare(estimate: Trajectory, groundtruth: Trajectory, name: str, max_gap_s: float = TUM_MAX_GAP_S) -> Comparison:
-    """Read an estimate against one ground truth, which goes by a name.
+    """Compare an estimate with one ground truth, which has a name.
 
     Raises:
         TrajectoryError: They cannot be compared.
@@ -143,14 +144,14 @@ def compare(estimate: Trajectory, groundtruth: Trajectory, name: str, max_gap_s:
 
 
 def _or_none(measure: Callable[[], RelativeError]) -> RelativeError | None:
-    """Return what is measured, or None where the trajectory is too short: an ATE alone is still worth having."""
+    """Return what is measured, or None where the trajectory is too short: an ATE alone is still useful."""
     try:
         return measure()
     except TrajectoryError:
         return None
 
 
-# An evaluation in plain words and rows, for whoever prints it.
+# An evaluation as text.
 
 
 def rows(evaluation: Evaluation) -> list[tuple[str, ...]]:
@@ -160,13 +161,13 @@ def rows(evaluation: Evaluation) -> list[tuple[str, ...]]:
 
 
 def lines(evaluation: Evaluation) -> list[str]:
-    """Return, a sentence a line, what the rows must be read with: coverage, pairs, convention, the still camera."""
+    """Return notes on the rows, a sentence a line: coverage, pairs, convention, static-pose baseline."""
     sentences = [_coverage(evaluation)]
     for comparison in (evaluation.as_given, evaluation.at_camera):
         if comparison is not None:
             sentences.append(
-                f"{comparison.n_compared} poses compared with the ground truth {comparison.groundtruth}; a camera "
-                f"that never moved has ATE {comparison.still_camera_m:.4f} m there (SE(3), RMSE)"
+                f"{comparison.n_compared} poses compared with the ground truth {comparison.groundtruth}; static-pose "
+                f"baseline (a camera that never moved): ATE {comparison.still_camera_m:.4f} m (SE(3), RMSE)"
             )
     if evaluation.at_camera is not None:
         sentences.append(

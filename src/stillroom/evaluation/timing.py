@@ -1,4 +1,4 @@
-"""What each stage of a frame costs, and the unit that costs are quoted in."""
+"""Time per stage and frame, and the unit that run times are given in."""
 
 import csv
 import platform
@@ -20,16 +20,16 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 FRAME = "frame"
-"""The stage that holds a whole frame: whoever runs frames wraps `process` in it."""
+"""The stage of a whole frame: callers of `process` wrap it in this."""
 
 PROCESSOR_INFO = Path("/proc/cpuinfo")
 PROCESS_STATUS = Path("/proc/self/status")
-"""Where Linux says what a process holds."""
+"""Where Linux reports the memory of a process."""
 
 
 @dataclass
 class _Cost:
-    """What one stage took in one frame, its calls added up."""
+    """Time of one stage in one frame, summed over its calls."""
 
     wall_ns: int = 0
     cpu_ns: int = 0
@@ -37,12 +37,12 @@ class _Cost:
 
 @dataclass(frozen=True)
 class StageTime:
-    """What a stage costs.
+    """Time of a stage.
 
     Attributes:
         stage: Its name.
         n_frames: Frames in which it ran.
-        wall_median_ms, wall_p95_ms: Over the frames in which it ran [ms], by the clock on the wall.
+        wall_median_ms, wall_p95_ms: Over the frames in which it ran [ms], in wall time.
         wall_mean_ms: Over all frames [ms]: a stage that runs now and then counts with its share.
         cpu_median_ms, cpu_p95_ms, cpu_mean_ms: The same in CPU time of the stage's own thread, which other
             programs on the machine disturb less.
@@ -59,10 +59,10 @@ class StageTime:
 
 
 class StageClock:
-    """Notes wall and thread CPU time per stage and frame.
+    """Records wall and thread CPU time per stage and frame.
 
-    Stages may nest, each counts all that runs inside it, and may run on any thread; a call counts for the frame
-    that is present when it ends.
+    Stages may nest, each counts all that runs inside it, and may run on any thread; a call counts for the frame in
+    which it ends.
     """
 
     def __init__(
@@ -71,8 +71,8 @@ class StageClock:
         """Take the clocks.
 
         Args:
-            wall_ns: The clock on the wall [ns].
-            cpu_ns: What the CPU has spent on the thread that asks [ns].
+            wall_ns: Wall time [ns].
+            cpu_ns: CPU time of the calling thread [ns].
         """
         self._wall_ns, self._cpu_ns = wall_ns, cpu_ns
         self._frames: list[tuple[int, dict[str, _Cost]]] = []
@@ -112,7 +112,7 @@ class StageClock:
             self._present = {}
 
     def conclude(self) -> None:
-        """Count what was done after the last frame as the last frame's."""
+        """Assign the time after the last frame to the last frame."""
         with self._lock:
             if self._frames:
                 last = self._frames[-1][1]
@@ -128,7 +128,7 @@ class StageClock:
         return len(self._frames)
 
     def summary(self) -> list[StageTime]:
-        """Return what each stage cost, the most costly first."""
+        """Return the time of each stage, the most expensive first."""
         summaries = [self._summary(name) for name in self._stages()]
         return sorted(summaries, key=lambda summary: -summary.cpu_mean_ms)
 
@@ -172,11 +172,12 @@ def _ms(ns: int) -> str:
 def unit_ms(images: Sequence[U8], cpu_ns: Callable[[], int] = time.thread_time_ns) -> float:
     """Return the mean CPU time [ms] of one `cv2.ORB_create(1000).detectAndCompute` on the images, on one thread.
 
-    Figures in this unit hold across machines; take it in the same process and on the same frames as the figures.
+    Figures in this unit are comparable across machines; take it in the same process and on the same frames as the
+    figures.
 
     Args:
         images: At least one gray image (H, W) uint8.
-        cpu_ns: What the CPU has spent on the thread that asks [ns].
+        cpu_ns: CPU time of the calling thread [ns].
     """
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
@@ -202,9 +203,9 @@ def processor() -> str:
 
 
 def peak_memory_mb() -> float:
-    """Return the most memory that this program has held so far [MB of 10⁶ bytes]; NaN where the system won't say."""
+    """Return the most memory that this program has held so far [MB of 10⁶ bytes]; NaN where it is not available."""
     if PROCESS_STATUS.exists():
-        # The program's own: `ru_maxrss` begins with what whoever started it held, which may be far more.
+        # The process's own: `ru_maxrss` is inherited from the parent process, which may have used far more.
         for line in PROCESS_STATUS.read_text(encoding="ascii").splitlines():
             if line.startswith("VmHWM:"):
                 return int(line.split()[1]) * 1024e-6
@@ -216,11 +217,11 @@ def peak_memory_mb() -> float:
     return peak * (1.0 if sys.platform == "darwin" else 1024.0) * 1e-6
 
 
-# Put a clock on the parts of a system without the system knowing.
+# Time the parts of a system from outside.
 
 
 class _Timed:
-    """Stands for a part; some of its methods are timed, all else is the part's own."""
+    """A proxy of a part: some of its methods are timed, all else is forwarded."""
 
     def __init__(self, part: object, clock: StageClock, stages: dict[str, str]) -> None:
         self._part = part

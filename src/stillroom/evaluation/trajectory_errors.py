@@ -16,7 +16,7 @@ from stillroom.geometry.arrays import F64, I64, Floats
 
 
 MIN_PAIRS = 3
-"""An alignment of fewer poses says nothing: they always fit."""
+"""An alignment of fewer poses is meaningless: they always fit."""
 
 
 def pair(
@@ -97,7 +97,7 @@ class Statistics:
 
 @dataclass(frozen=True)
 class Spread:
-    """One figure over several runs: what a result must be quoted with (docs/reference.md#comparing-figures)."""
+    """One figure over several runs: a result must be reported with it (docs/reference.md#comparing-figures)."""
 
     median: float
     mean: float
@@ -166,7 +166,7 @@ def rpe(estimate: Trajectory, groundtruth: Trajectory, delta_s: float = 1.0) -> 
     has_truth = np.abs(true_times_s[true_index] - times_s) <= 2 * _median_step_s(true_times_s)
     covered = has_truth[start] & has_truth[end]
     start, end = start[covered], end[covered]
-    # Motions backward in time, from end to start: that is TUM's way round.
+    # Motions backward in time, from end to start, as in TUM's tool.
     return _measure(estimate.T_world_cam, groundtruth.T_world_cam[true_index], end, start, f"{delta_s:g} s")
 
 
@@ -212,7 +212,7 @@ def _median_step_s(times_s: F64) -> float:
 
 @dataclass(frozen=True)
 class AbsoluteError:
-    """How far the camera centres lie from the truth once one trajectory is laid upon the other.
+    """The distances of the camera centres from the truth, after the trajectories are aligned.
 
     The classical tables align with SE(3), the learned systems' with Sim(3), which can only be lower
     (docs/reference.md#comparing-figures): both are here.
@@ -221,7 +221,7 @@ class AbsoluteError:
         se3_m: Errors after a rigid alignment [m].
         sim3_m: Errors after an alignment that may also scale [m].
         scale: The scale that the Sim(3) alignment multiplies the estimate by.
-        still_camera_m: RMSE of a camera that never moved, over the same poses [m]; what `se3_m` is read against.
+        still_camera_m: RMSE of the static-pose baseline over the same poses [m], to compare `se3_m` with.
         aligned: The compared poses of the estimate after SE(3) alignment, N of them.
         groundtruth: Their counterparts, N.
         errors_m: Distance of each pair after SE(3) alignment (N,) [m].
@@ -263,8 +263,8 @@ def ate(estimate: Trajectory, groundtruth: Trajectory, max_gap_s: float = TUM_MA
 
 
 def still_camera_m(positions_m: F64) -> float:
-    """Return the ATE RMSE [m] of a camera that never moved: the spread of the true positions (N, 3) [m].
+    """Return the ATE RMSE [m] of the static-pose baseline: the spread of the true positions (N, 3) [m].
 
-    Laid upon the truth, a single point comes to lie on the mean of the true positions.
+    The baseline is a camera that never moved; its single position is aligned with the mean of the true ones.
     """
     return float(np.sqrt(np.mean(np.sum((positions_m - positions_m.mean(axis=0)) ** 2, axis=1))))

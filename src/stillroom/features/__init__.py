@@ -1,1 +1,1 @@
-"""Keypoints, and finding them again."""
+"""Keypoints, their matching and tracking, and place recognition."""

@@ -1,4 +1,4 @@
-"""Finding described places again: in a window, along epipolar lines, or anywhere (ORB-SLAM2's searches)."""
+"""Descriptor matching: in a window, along epipolar lines, or over the whole image (ORB-SLAM2's searches)."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -71,11 +71,11 @@ _HISTOGRAM_BINS = 30
 
 @dataclass(frozen=True)
 class Queries:
-    """Q places to find in an image.
+    """Q descriptors to find in an image.
 
     Attributes:
-        px: Where to look (Q, 2) float32 [px, undistorted].
-        radius_px: How far around (Q,) float32.
+        px: Predicted positions (Q, 2) float32 [px, undistorted].
+        radius_px: Search radius (Q,) float32.
         min_octave, max_octave: Levels to look on (Q,) int32, both included.
         right_px: Expected right coordinate (Q,) float32; −1 where not known.
         descriptors: (Q, 32) uint8.
@@ -91,7 +91,7 @@ class Queries:
 
 @dataclass(frozen=True)
 class Targets:
-    """N keypoints to search among; `usable` (N,) leaves out those that are taken or moving."""
+    """N keypoints to search among; `usable` (N,) leaves out those that are matched or dynamic."""
 
     px: F32
     octave: I32
@@ -110,13 +110,13 @@ def search_windows(queries: Queries, targets: Targets, max_bits: int = FAR_BITS,
         ratio: The best must be nearer than this share of the second best of the same octave; 1 switches it off.
 
     Returns:
-        Query (M,) and target (M,) of each match; a target wanted by several goes to the nearest of them.
+        Query (M,) and target (M,) of each match; a target of several queries goes to the nearest of them.
     """
     grid = build_grid(targets.px)
     q, t = queries, targets
     target, bits = _search_windows(
         _Wanted(q.px, q.radius_px, q.min_octave, q.max_octave, q.right_px, words(q.descriptors)),
-        _There(t.px, t.octave, t.right_px, words(t.descriptors), t.usable),
+        _TargetArrays(t.px, t.octave, t.right_px, words(t.descriptors), t.usable),
         grid,
         max_bits,
         ratio,
@@ -135,7 +135,7 @@ class _Wanted(NamedTuple):
     words: U64
 
 
-class _There(NamedTuple):
+class _TargetArrays(NamedTuple):
     """`Targets` as the kernels take them; descriptors as words (N, 4)."""
 
     px: F32
@@ -146,7 +146,7 @@ class _There(NamedTuple):
 
 
 @njit(nogil=True, cache=True)
-def _search_windows(wanted: _Wanted, there: _There, grid: Grid, max_bits: int, ratio: float) -> tuple[I32, I32]:
+def _search_windows(wanted: _Wanted, there: _TargetArrays, grid: Grid, max_bits: int, ratio: float) -> tuple[I32, I32]:
     query_px, radius_px, min_octave, max_octave, query_right_px, query_words = wanted
     px, octave, right_px, target_words, usable = there
     origin_px, shape, start, order = grid
@@ -187,7 +187,7 @@ def _search_windows(wanted: _Wanted, there: _There, grid: Grid, max_bits: int, r
 
 
 def match_anywhere(first: U8, second: U8, max_bits: int = NEAR_BITS, ratio: float = 0.7) -> tuple[I32, I32]:
-    """Match descriptors (N, 32) with (M, 32) without any idea where, by nearest neighbour and ratio test.
+    """Match descriptors (N, 32) with (M, 32) without predicted positions, by nearest neighbour and ratio test.
 
     Returns:
         Indices into `first` and `second` (K,) of the matches, one to one.
@@ -309,7 +309,7 @@ def consistent_rotation(first_rad: Floats, second_rad: Floats) -> Bool:
     if len(first_rad) == 0:
         return np.zeros(0, dtype=np.bool_)
     turn = np.mod(np.asarray(first_rad) - np.asarray(second_rad), 2.0 * np.pi)
-    # Rounded, so that the middle of a bin and not a border lies on no turn at all, the most common of all.
+    # Rounded, so that the middle of a bin, not a border, lies at no rotation, the most common case.
     bins: Ints = np.rint(turn * (_HISTOGRAM_BINS / (2.0 * np.pi))).astype(np.int64) % _HISTOGRAM_BINS
     counts = np.bincount(bins, minlength=_HISTOGRAM_BINS)
     best = np.argsort(-counts, kind="stable")[:3]

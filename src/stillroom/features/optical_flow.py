@@ -1,4 +1,4 @@
-"""Points followed from one image to another by pyramidal Lucas–Kanade."""
+"""Points tracked from one image to another by pyramidal Lucas–Kanade."""
 
 from dataclasses import dataclass
 
@@ -13,10 +13,10 @@ _LEAST_STEP_PX = 0.03
 
 @dataclass(frozen=True)
 class OpticalFlow:
-    """How points are followed.
+    """How points are tracked.
 
     Attributes:
-        window_px: Side of the square around a point that is found again.
+        window_px: Side of the square around a point that is tracked.
         levels: Levels of the pyramid above the image.
     """
 
@@ -29,7 +29,7 @@ class OpticalFlow:
         Args:
             first, second: The images.
             first_px: The points in the first.
-            guess_px: Where to look first (N, 2); None for where they were.
+            guess_px: Initial guess (N, 2); None for the positions in the first.
 
         Returns:
             Where they are in the second (N, 2) float32 [px], and which were found (N,).

@@ -70,14 +70,14 @@ def spread(corners: Corners, sizes: list[tuple[int, int]], quotas: list[int], st
 
     Each level is cut into about as many square cells as it may keep corners. Where a cell has a strong corner its weak
     ones are left out (ORB-SLAM2's two thresholds). Corners of equal score, of which there are many, are ordered by a
-    hash of place and seed: runs with different seeds sample how much the result depends on such accidents.
+    hash of place and seed: runs with different seeds sample how much the result depends on such ties.
 
     Args:
         corners: What was found.
         sizes: Width and height of each level [px].
         quotas: Corners to keep on each level.
         strong: Score from which a corner counts as strong.
-        seed: Orders what is equal.
+        seed: Orders corners of equal score.
 
     Returns:
         Indices of the chosen corners (K,), level after level, best first.
@@ -127,7 +127,7 @@ def patch_half_widths() -> I32:
     """Return the half width of each row of the disc over which the orientation is taken, (16,) int32.
 
     The disc is OpenCV's: symmetric about the diagonal, so that its steep part mirrors the flat one. Rounding each row
-    by itself, as one would, turns the angle by 2° in the median and with it the descriptor away from everyone's.
+    by itself, as one would, turns the angle by 2° in the median, and the descriptor differs from OpenCV's.
     """
     rows = np.arange(PATCH_RADIUS_PX + 1)
     widths = np.rint(np.sqrt(PATCH_RADIUS_PX**2 - rows**2)).astype(np.int32)
@@ -182,12 +182,12 @@ def describe(blurred: U8, px: F32, angle_rad: F32, offsets: I32, descriptors: U8
             descriptors[i, byte] = value
 
 
-# The 256 comparisons of the ORB descriptor, asked of OpenCV.
+# The 256 comparisons of the ORB descriptor, recovered from OpenCV.
 #
-# Descriptors are worth most when they are everyone's: OpenCV's pattern was learned (Rublee et al., ICCV 2011) and
-# vocabularies are trained on it. OpenCV does not export the table, but its answers give it away: on white noise the
-# bit that compares the blurred patch at p and q is the sign of a linear function of the patch, and least squares finds
-# the two places where that function is not zero. This takes a fifth of a second, once a process.
+# Descriptors should be compatible with those of others: OpenCV's pattern was learned (Rublee et al., ICCV 2011) and
+# vocabularies are trained on it. OpenCV does not export the table, but it can be recovered from its descriptors: on
+# white noise the bit that compares the blurred patch at p and q is the sign of a linear function of the patch, and
+# least squares finds the two places where that function is not zero. This takes a fifth of a second, once a process.
 
 
 @lru_cache(maxsize=1)
@@ -219,7 +219,7 @@ def _sharpened(pair: I64, patches: F64, answers: Bool) -> I64:
         candidates = np.clip([pair + np.array((a, b)) for a in steps for b in steps], 0, _WIDTH**2 - 1)
         best = max(candidates, key=lambda candidate: _agreement(candidate, patches, answers))
         agreement = _agreement(best, patches, answers)
-    assert agreement >= _AGREEMENT, f"OpenCV's ORB is not the one we know: a bit agrees in {agreement:.1%} only"
+    assert agreement >= _AGREEMENT, f"OpenCV's ORB differs from the expected one: a bit agrees in {agreement:.1%} only"
     return best
 
 

@@ -1,4 +1,4 @@
-"""Where map points should appear in an image (ORB-SLAM2's isInFrustum), and the search for them there."""
+"""Where map points should appear in an image (ORB-SLAM2's isInFrustum), and the guided search there."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -133,10 +133,10 @@ def _project(viewer: _Viewer, points: PointGeometry, min_view_cos: float, seen: 
 
 @dataclass(frozen=True)
 class Window:
-    """Where points are looked for around their projections, and what counts as found.
+    """The window of a guided search around projections, and what counts as a match.
 
     Attributes:
-        radius_px: How far around, on the finest level; wider on coarser ones.
+        radius_px: Search radius on the finest level; wider on coarser ones.
         head_on_px: The same for points that are seen almost head-on; None for no difference.
         levels_above: How many levels above the expected one are searched; one below it always is.
         max_bits: Largest distance of descriptors.
@@ -179,7 +179,7 @@ def projected(ids: I32, T_cam_world: F64, camera: Camera, world: Map) -> Project
 
 
 def keyframe_targets(keyframe: int, world: Map) -> Targets:
-    """Return a keyframe's keypoints as something to search among; those that move are left out."""
+    """Return a keyframe's keypoints as search targets; dynamic ones are left out."""
     table, rows = world.keypoints, world.rows(keyframe)
     return Targets(
         table.px[rows], table.octave[rows], table.right_px[rows], table.descriptors[rows], table.is_static[rows]
@@ -189,7 +189,7 @@ def keyframe_targets(keyframe: int, world: Map) -> Targets:
 def search_around(
     ids: I32, T_cam_world: F64, camera: Camera, world: Map, targets: Targets, window: Window
 ) -> ProjectionMatches:
-    """Look for points (P,) of a map where they should be under a pose (4, 4).
+    """Search points (P,) of a map around their projections at a pose (4, 4).
 
     Args:
         ids: The points.
@@ -197,7 +197,7 @@ def search_around(
         camera: Its calibration.
         world: The map.
         targets: Keypoints to search among.
-        window: How far around, and how like.
+        window: Search radius and thresholds.
     """
     projection = projected(ids, T_cam_world, camera, world)
     at = np.flatnonzero(projection.visible)

@@ -1,4 +1,4 @@
-"""The motion that lays one set of points upon another: Horn 1987, in Umeyama's form (PAMI 1991)."""
+"""The motion that aligns one set of points with another: Horn 1987, in Umeyama's form (PAMI 1991)."""
 
 from dataclasses import dataclass
 
@@ -8,7 +8,7 @@ from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64, Floats
 
 MIN_POINTS = 3
-"""Fewer points leave the rotation open."""
+"""Fewer points leave the rotation undetermined."""
 
 
 @dataclass(frozen=True)
@@ -38,9 +38,9 @@ class Similarity:
 def align(source: Floats, target: Floats, with_scale: bool) -> Similarity:
     """Find the motion with the least sum of squared distances between moved source and target.
 
-    Where the points do not say how to turn (fewer than three, or all of one set in one place) the rotation is
-    the identity, the scale 1, and the means are laid upon each other. Points on one line leave the turn about
-    it open; one of the best motions is returned.
+    Where the points do not determine the rotation (fewer than three, or all of one set in one place) it is the
+    identity, the scale 1, and the means are aligned. Points on one line leave the rotation about it undetermined; one
+    of the best motions is returned.
 
     Args:
         source: Points (N, 3), finite.
@@ -63,10 +63,11 @@ def align(source: Floats, target: Floats, with_scale: bool) -> Similarity:
 
 
 def align_poses(T_source_cam: Floats, T_target_cam: Floats) -> F64:
-    """Find the rigid motion `T_target_source` (4, 4) that lays poses (N, 4, 4), N ≥ 1, best upon their counterparts.
+    """Find the rigid motion `T_target_source` (4, 4) that best aligns poses (N, 4, 4), N ≥ 1, with their counterparts.
 
-    Unlike `align`, which knows positions only, it takes the turn from the rotations, and is sound however little the
-    camera moved: the rotation is the chordal mean of those that the pairs ask for, the translation the mean one.
+    Unlike `align`, which knows positions only, it takes the rotation from those of the poses, and is well determined
+        however little the camera moved: the rotation is the chordal mean of those that the pairs ask for, the
+            translation the mean one.
     """
     wanted = np.asarray(T_target_cam)[:, :3, :3] @ np.swapaxes(np.asarray(T_source_cam)[:, :3, :3], 1, 2)
     turned = se3.orthonormalize(se3.from_rotation_translation(wanted.mean(axis=0), np.zeros(3)))

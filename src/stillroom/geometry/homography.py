@@ -1,4 +1,4 @@
-"""Homographies: how a plane, or whatever a turning camera sees, moves from one image to another."""
+"""Homographies: the image motion of a plane, or of any scene under a pure rotation."""
 
 from dataclasses import dataclass, field
 
@@ -43,9 +43,9 @@ def estimate(
     Args:
         first_px, second_px: The pairs (N, 2) [px].
         inlier_px: Largest residual of a pair that agrees [px].
-        seed: Of the samples that are drawn: the same input and seed give the same answer.
-        magsac: Whether pairs are weighed and the best homography is polished (MAGSAC++); else RANSAC by the book, whose
-            answer goes exactly through four of the pairs.
+        seed: Of the random samples: the same input and seed give the same answer.
+        magsac: Whether to use MAGSAC++, which weights pairs and refines the best homography; else plain RANSAC, whose
+            result goes exactly through four of the pairs.
 
     Returns:
         The fit; None where the pairs do not determine one: too few, in one place or on one line.
@@ -65,7 +65,7 @@ def estimate(
 def refine(
     fit: HomographyFit, first_px: Floats, second_px: Floats, symmetric: bool = True, iterations: int = 10
 ) -> HomographyFit:
-    """Make the reprojection error over the inliers least, by Levenberg–Marquardt (PSPNet-SLAM Eq. 11).
+    """Minimise the reprojection error over the inliers by Levenberg–Marquardt (PSPNet-SLAM Eq. 11).
 
     Differs from the paper: Eq. 11 counts the error in the second image alone, as if the first had no noise; by default
     the error in the first image is added (Hartley and Zisserman, Eq. 4.7), so that the answer does not depend on which
@@ -90,7 +90,7 @@ def refine(
 
 
 def _of_their_noise(fit: HomographyFit, first_px: Floats, second_px: Floats) -> Bool:
-    """Return which pairs (N,) lie within what noise explains, as large as the median residual of the inliers says."""
+    """Return which pairs (N,) lie within the noise, estimated by the median residual of the inliers."""
     errors_px = transfer_errors_px(fit.H_second_first, first_px, second_px)
     limit_px = _LIMIT_IN_MEDIANS * float(np.median(errors_px[fit.is_inlier]))
     return np.asarray(errors_px <= max(limit_px, _LEAST_LIMIT_PX))
@@ -135,12 +135,12 @@ def compensate_image(image: U8, H_present_previous: Floats) -> U8:
 
 
 def of_rotation(T_second_first: Floats, K: Floats) -> F64:
-    """Return K R K⁻¹ (3, 3), Frobenius norm 1: how what is far away moves, or all when the camera only turns."""
+    """Return K R K⁻¹ (3, 3), Frobenius norm 1: the image motion of far points, or of all under a pure rotation."""
     return _unit(K @ T_second_first[:3, :3] @ np.linalg.inv(K))
 
 
 def _is_regular(H: Floats, px: F64) -> bool:
-    """Return whether a homography keeps all points (N, 2) on one side of its horizon and turns nothing inside out."""
+    """Return whether a homography keeps all points (N, 2) on one side of its horizon and keeps their orientation."""
     w = px @ H[2, :2] + H[2, 2]
     return bool(np.all(w > 0) or np.all(w < 0)) and float(np.linalg.det(H / np.linalg.norm(H)) * np.sign(w[0])) > 1e-12
 

@@ -1,4 +1,4 @@
-"""What an image shows at points."""
+"""Image values at points, and dilation of masks."""
 
 from enum import IntEnum
 from functools import lru_cache
@@ -13,11 +13,11 @@ from stillroom.geometry.arrays import U8, Bool, Floats
 Value = TypeVar("Value", bound=np.generic)
 
 
-# Masks made larger, and what they are made larger by.
+# Dilation of masks, and structuring elements.
 
 
 class Shape(IntEnum):
-    """What a pixel grows to; the values are OpenCV's."""
+    """Shape of a structuring element; the values are OpenCV's."""
 
     SQUARE = cv2.MORPH_RECT
     ELLIPSE = cv2.MORPH_ELLIPSE
@@ -33,7 +33,7 @@ def element(reach_px: int, shape: Shape) -> U8:
 
 
 def grown(mask: Bool, reach_px: int, shape: Shape) -> Bool:
-    """Return a mask (H, W) with all pixels that a pixel of it reaches; the mask itself where nothing is to grow."""
+    """Return a mask (H, W), dilated; the mask itself if the reach is 0."""
     if reach_px <= 0 or not mask.any():
         return mask
     pixels = np.ascontiguousarray(mask).view(np.uint8)

@@ -39,8 +39,8 @@ def fit_rigid_robustly(
     Args:
         source_m: Points (N, 3) [m].
         target_m: Their counterparts (N, 3) [m].
-        agrees: Says of motions (S, 4, 4) which pairs agree with them, (S, N).
-        rng: Draws the triples.
+        agrees: Returns for motions (S, 4, 4) which pairs are inliers, (S, N).
+        rng: Samples the triples.
         n_samples: Triples to try; all of them, at once.
 
     Returns:
@@ -68,7 +68,7 @@ def fit_rigid_robustly(
 
 
 def rigid_of_samples(source_m: F64, target_m: F64) -> F64:
-    """Return the motions (S, 4, 4) that lay samples (S, K, 3) of points best upon their counterparts (S, K, 3)."""
+    """Return the motions (S, 4, 4) that best align samples (S, K, 3) of points with their counterparts (S, K, 3)."""
     mean_source, mean_target = source_m.mean(axis=1, keepdims=True), target_m.mean(axis=1, keepdims=True)
     covariances = np.swapaxes(target_m - mean_target, 1, 2) @ (source_m - mean_source)
     U, _, Vt = np.linalg.svd(covariances)

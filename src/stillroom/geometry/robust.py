@@ -27,10 +27,10 @@ def usac(inlier_px: float, seed: int, confidence: float, magsac: bool = True) ->
 
     Args:
         inlier_px: Largest residual of a pair that agrees [px].
-        seed: Of the samples that are drawn.
+        seed: Of the random samples.
         confidence: Probability with which one of the samples is free of outliers.
-        magsac: Whether pairs are weighed and the best answer is polished (MAGSAC++); else RANSAC by the book, whose
-            answer goes exactly through a sample.
+        magsac: Whether to use MAGSAC++, which weights pairs and refines the best model; else plain RANSAC, whose result
+            goes exactly through a sample.
     """
     params = cv2.UsacParams()
     params.randomGeneratorState = seed
@@ -47,7 +47,7 @@ def _find(estimator: Callable[..., Any], first_px: Floats, second_px: Floats, se
     first, second = (np.ascontiguousarray(px, dtype=np.float64) for px in (first_px, second_px))
     try:
         found, agrees = estimator(first, second, settings)
-    except cv2.error:  # OpenCV's way of saying that every sample was degenerate.
+    except cv2.error:  # OpenCV raises this when every sample was degenerate.
         return None
     if found is None or found.shape != (3, 3) or not np.all(np.isfinite(found)):
         return None

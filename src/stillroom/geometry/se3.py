@@ -73,7 +73,7 @@ def angle_rad(T_a_b: Floats) -> F64:
 
 
 def are_near(T_a_b: Floats, T_c_b: Floats, reach_m: float, reach_rad: float) -> bool:
-    """Return whether two poses (4, 4) of b, in frames a and c, are at most so far and so much of a turn apart."""
+    """Return whether two poses (4, 4) of b, in frames a and c, differ by at most a distance and a rotation angle."""
     T_a_c = T_a_b @ inverse(T_c_b)
     return float(np.linalg.norm(T_a_c[:3, 3])) <= reach_m and float(angle_rad(T_a_c)) <= reach_rad
 

@@ -1,1 +1,1 @@
-"""Coming back: places seen again are recognised, checked, and the map is made to agree with itself."""
+"""Loop closing and sub-map merging: detection, verification, correction of the map."""

@@ -1,4 +1,4 @@
-"""Making the map agree with a loop: fuse the place, and spread the error over the way that led there and back."""
+"""Correcting the map for a loop: fuse the place, and distribute the error over the loop."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,7 +20,9 @@ WINDOW = Window(4.0, levels_above=0, max_bits=NEAR_BITS)
 TYPICAL_SHARED = 100.0
 LEAST_SHARED = 15.0
 SIGMA_M, SIGMA_RAD = 0.01, 0.005
-"""How exact a motion between keyframes is that share a hundred points; they relate as at a depth of two metres."""
+"""Standard deviations of the motion between keyframes that share a hundred points, related as at a depth of two
+metres.
+"""
 
 
 # The essential graph: few edges that carry the shape of the whole map (ORB-SLAM, Mur-Artal et al. 2015, III-D).
@@ -64,10 +66,9 @@ def shared_points(edges: I64, world: Map) -> F64:
 
 
 def paths_from(keyframe: int, edges: I64, world: Map) -> F64:
-    """Return the length [m] of the shortest way through the graph to each keyframe (K,); infinite where none leads.
+    """Return the length [m] of the shortest path through the graph to each keyframe (K,); infinite where there is none.
 
-    An edge is as long as its keyframes are apart, and a turn of one radian counts as a metre: both are where drift
-    comes from.
+    An edge is as long as its keyframes are apart, and a rotation of one radian counts as a metre: both cause drift.
     """
     poses = world.keyframes.T_world_cam
     apart = se3.inverse(poses[edges[:, 0]]) @ poses[edges[:, 1]]
@@ -78,7 +79,7 @@ def paths_from(keyframe: int, edges: I64, world: Map) -> F64:
     return lengths_m
 
 
-# Points go where the keyframes go that saw them first.
+# Points move with the keyframe that observed them first.
 
 
 def move_rigidly(keyframes: Sequence[int] | I64, T_new_old: F64, world: Map) -> None:
@@ -91,7 +92,7 @@ def follow_keyframes(point_ids: I64, T_world_old: F64, world: Map) -> None:
     """Move points (P,) with the keyframe that saw each first.
 
     Args:
-        point_ids: Points in the map; those that nothing sees stay.
+        point_ids: Points in the map; those without observations stay.
         T_world_old: Poses of all keyframes (K, 4, 4) before they moved.
         world: The map, its keyframes moved already.
     """
@@ -124,11 +125,11 @@ def carry_newer(n_known: int, T_world_old: F64, world: Map) -> None:
             keyframes.T_world_cam[keyframe] = keyframes.T_world_cam[parent] @ T_parent_cam
 
 
-# Making one point of two when a place is seen again; the place's own points stay (ORB-SLAM2: SearchAndFuse).
+# Fusing duplicate points when a place is seen again; the place's own points stay (ORB-SLAM2: SearchAndFuse).
 
 
 def take_over(point_ids: I32, rows: Ints, world: Map) -> None:
-    """Let rows (M,) see points (M,): what they saw so far is replaced by them everywhere."""
+    """Link rows (M,) to points (M,): the points that they observed before are replaced everywhere."""
     other = world.keypoints.point[rows]
     fresh = other < 0
     world.observe(point_ids[fresh], rows[fresh])
@@ -142,7 +143,7 @@ def take_over(point_ids: I32, rows: Ints, world: Map) -> None:
 
 
 def fuse_place(point_ids: I32, keyframe: int, camera: Camera, world: Map) -> None:
-    """Look for the points (P,) of a place in a keyframe that lies right by now, and let it see them."""
+    """Search the points (P,) of a place in a keyframe with a corrected pose, and add the observations."""
     points = world.points
     own = world.points_of(keyframe)
     is_seen = np.zeros(len(points), dtype=np.bool_)
@@ -155,12 +156,12 @@ def fuse_place(point_ids: I32, keyframe: int, camera: Camera, world: Map) -> Non
 
 @dataclass(frozen=True)
 class Correction:
-    """What was done to the map.
+    """A correction of the map.
 
     Attributes:
         T_world_old: Poses of all keyframes (K, 4, 4) before.
-        keyframes: Keyframes that took part, all of what hangs together (N,).
-        around: Those of them that show the place, then or now (A,).
+        keyframes: Keyframes that were optimised, a whole connected component (N,).
+        around: Those of them that observe the place, then or now (A,).
         moved_m, turned_rad: How far the keyframe that closed the loop was moved and turned.
     """
 
@@ -176,8 +177,8 @@ def close_loop(
 ) -> Correction:
     """Correct the map for a loop: ORB-SLAM2's CorrectLoop with the scale fixed.
 
-    The keyframe and its covisible ones are put where the place says they are, the place's points are fused into them,
-    and a pose graph spreads the error over all keyframes. Points follow the keyframe that saw them first.
+    The keyframe and its covisible ones get the poses that the loop implies, the place's points are fused into them,
+    and a pose graph distributes the error over all keyframes. Points follow the keyframe that saw them first.
     """
     T_world_old = world.keyframes.T_world_cam.copy()
     edges = essential_edges(world, essential_weight)
@@ -216,7 +217,7 @@ def close_loop(
 
 
 def fuse_group(loop: Loop, place: Sequence[int], group: Sequence[int], camera: Camera, world: Map) -> None:
-    """Let the keyframes of a group, which lie right by now, see the points of a place; count again what they share."""
+    """Fuse the points of a place into a group of keyframes with corrected poses; update their covisibility."""
     take_over(loop.point_ids, loop.rows, world)
     points = world.points_seen_by(np.array(place))
     for keyframe in group:
@@ -236,7 +237,7 @@ def connected_to(keyframe: int, edges: I64, world: Map) -> I64:
 
 
 def _graph(edges: I64, measured: F64, shared: F64, keyframes: I64, poses: F64) -> PoseGraph:
-    """Return the pose graph of some keyframes (N,); the oldest of them holds still."""
+    """Return the pose graph of some keyframes (N,); the oldest of them is fixed."""
     node = np.full(len(poses), -1, dtype=np.int64)
     node[keyframes] = np.arange(len(keyframes))
     used = (node[edges] >= 0).all(axis=1)

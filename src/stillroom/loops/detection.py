@@ -1,4 +1,4 @@
-"""Which keyframes show a place that was seen before, judging by looks (ORB-SLAM2: DetectLoop)."""
+"""Loop candidates by appearance (ORB-SLAM2: DetectLoop)."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -10,19 +10,19 @@ from stillroom.data.map import Covisibility, Map
 from stillroom.features.places.place_index import PlaceMemory, Resemblance, best_places
 from stillroom.protocols import Parts
 
-# One image may look like another by chance; several in a row that lead to the same neighbourhood hardly do.
+# One image may look like another by chance; several in a row with candidates in one neighbourhood hardly do.
 
 
 class ConsistentGroups:
     """Follows candidate places from keyframe to keyframe (ORB-SLAM2: DetectLoop, covisibility consistency)."""
 
     def __init__(self, needed: int = 3) -> None:
-        """Start without a past; a place must be met by `needed` keyframes in a row."""
+        """Start empty; a place must be a candidate of `needed` keyframes in a row."""
         self.needed = needed
         self._groups: list[tuple[frozenset[int], int]] = []
 
     def confirmed(self, candidates: Iterable[int], covisibility: Covisibility) -> list[int]:
-        """Take the candidates of the next keyframe; return those whose places it was led to often enough, in order.
+        """Take the candidates of the next keyframe; return those that are consistent often enough, in order.
 
         A candidate's group, itself and its covisible keyframes, continues a group of the keyframe before when they
         share a member.
@@ -45,12 +45,12 @@ class ConsistentGroups:
 
 @dataclass(frozen=True)
 class DetectionConfig:
-    """When looks are taken for a hint (ORB-SLAM2's numbers; docs/reference.md#orb-slam2-loops).
+    """When appearance makes a candidate (ORB-SLAM2's numbers; docs/reference.md#orb-slam2-loops).
 
     Attributes:
-        pause_keyframes: None among the first so many keyframes, nor so many after a loop.
-        consistent_keyframes: A place must be met by so many keyframes in a row.
-        max_candidates: Places that are followed, and looked at more closely, for each keyframe at most.
+        pause_keyframes: No loops for this many keyframes at the start, and after a loop.
+        consistent_keyframes: Consecutive keyframes that must agree on a place.
+        max_candidates: Most candidate places of a keyframe that are verified.
     """
 
     pause_keyframes: int = bounded(10, least=0)
@@ -63,16 +63,16 @@ class DetectionConfig:
 
 
 class LoopDetector:
-    """Asked with every new keyframe, in order."""
+    """Called with every new keyframe, in order."""
 
     def __init__(self, config: DetectionConfig, places: PlaceMemory, world: Map) -> None:
-        """Start without a past."""
+        """Start empty."""
         self.config, self.places, self.world = config, places, world
         self._groups = ConsistentGroups(config.consistent_keyframes)
         self._quiet_until = config.pause_keyframes
 
     def candidates(self, keyframe: int) -> list[int]:
-        """Return the keyframes that showed the place before, by their looks; the likeliest first."""
+        """Return the keyframes that may show the same place, by appearance; the likeliest first."""
         if keyframe < self._quiet_until or keyframe not in self.places.index:
             return []
         neighbours = self.world.covisibility.neighbours(keyframe)

@@ -1,4 +1,4 @@
-"""Bundle adjustment after a correction: of all keyframes that hang together, or of those around one place."""
+"""Bundle adjustment after a correction: of a connected component, or of the keyframes around one place."""
 
 from collections.abc import Callable
 
@@ -16,8 +16,8 @@ from stillroom.optimize.bundle import BundleAdjuster, BundleProblem, BundleResul
 class GlobalBundle:
     """One full bundle adjustment in three steps, so that the map may grow during the long one in the middle.
 
-    Making it copies what it needs of the map, `solve` works on the copy, `commit` writes the outcome back. Keyframes
-    and points that came in between follow what they hang on.
+    The constructor copies what it needs of the map, `solve` works on the copy, `commit` writes the result back.
+    Keyframes and points that were added in between move with their parents.
     """
 
     def __init__(self, keyframes: I64, world: Map, in_place: bool = False) -> None:
@@ -26,8 +26,8 @@ class GlobalBundle:
         Args:
             keyframes: What is to be adjusted, ascending.
             world: The map.
-            in_place: Whether all other keyframes that see the points hold these in place; else the others have no say,
-                and the first of the keyframes holds still.
+            in_place: Whether all other keyframes that observe the points are included as fixed; else the others are
+                left out, and the first of the keyframes is fixed.
         """
         table, points = world.keypoints, world.points
         seen = world.points_seen_by(keyframes)
@@ -56,11 +56,11 @@ class GlobalBundle:
         )
 
     def solve(self, camera: Camera, adjust: BundleAdjuster, stop: Callable[[], bool] | None = None) -> BundleResult:
-        """Adjust the copy; `stop` is asked before each step whether to end early."""
+        """Adjust the copy; `stop` is called before each step and ends it early."""
         return adjust(self._problem, camera, stop)
 
     def commit(self, result: BundleResult, world: Map) -> None:
-        """Write the outcome to the map, and remove observations that do not fit."""
+        """Write the result to the map, and remove outliers."""
         keyframes, points, table = world.keyframes, world.points, world.keypoints
         before = keyframes.T_world_cam.copy()
         moved = keyframes.is_alive[self._keyframes] & self._moves

@@ -1,4 +1,4 @@
-"""Joining sub-maps: when a keyframe of one shows a place of another, they become one."""
+"""Merging sub-maps: when a keyframe of one shows a place of another, they become one."""
 
 import logging
 from collections.abc import Callable, Sequence
@@ -22,14 +22,14 @@ logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class JoiningConfig:
-    """When sub-maps are joined.
+    """When sub-maps are merged.
 
     Attributes:
         enabled: Whether they are.
-        n_places: Places that look alike to try with each new keyframe.
-        verification: What is taken for the same place; as many points as relocalization asks for.
-        max_lost_share: Share of the observations that may stop fitting through it; beyond it is undone.
-        min_kept_share: Share of what was joined that must fit afterwards.
+        n_places: Candidate places to try with each new keyframe.
+        verification: What counts as the same place; as many points as relocalization requires.
+        max_lost_share: Largest share of observations that may become outliers; beyond, the merge is undone.
+        min_kept_share: Least share of the fused observations that must be inliers afterwards.
         bundle: The optimiser that adjusts both together.
     """
 
@@ -45,17 +45,17 @@ class JoiningConfig:
 
         Args:
             parts: What it is built of.
-            places: Knows the keyframes by their looks.
-            after: Called when sub-maps were joined: what must follow the keyframes to where they are now.
+            places: The place index of the keyframes.
+            after: Called when sub-maps were merged, to update what depends on keyframe poses.
         """
         return SubmapJoiner(self, parts, places, after)
 
 
 class SubmapJoiner:
-    """Asked with every new keyframe, in order; costs nothing while the map is in one piece.
+    """Called with every new keyframe, in order; costs nothing while there is a single sub-map.
 
     Attributes:
-        joined: What was recognised each time that sub-maps were joined.
+        joined: The loop behind each merge.
     """
 
     def __init__(
@@ -65,7 +65,7 @@ class SubmapJoiner:
         places: PlaceMemory,
         after: Sequence[Callable[[], None]],
     ) -> None:
-        """Start with nothing joined."""
+        """Start without merges."""
         self.config, self.camera, self.world, self.places = config, parts.camera, parts.world, places
         self.joined: list[Loop] = []
         self._verifier = config.verification.build(parts)
@@ -73,7 +73,7 @@ class SubmapJoiner:
         self._after = tuple(after)
 
     def join(self, keyframe: int) -> bool:
-        """Look whether a keyframe shows a place of another sub-map; lay the younger one onto the older one then."""
+        """Check whether a keyframe shows a place of another sub-map; if so, merge the younger into the older."""
         table, index = self.world.keyframes, self.places.index
         if not self.config.enabled or self.world.n_submaps < 2 or keyframe not in index:
             return False
@@ -90,7 +90,7 @@ class SubmapJoiner:
         return False
 
     def _join(self, place: Loop) -> bool:
-        """Join for a place, and undo it where the map had to give up what it knew."""
+        """Merge for a place, and undo it where too many earlier inliers are lost."""
         world = self.world
         with world.lock:
             before = Snapshot(world)
@@ -123,7 +123,7 @@ class SubmapJoiner:
 
 
 def lay_together(place: Loop, world: Map) -> int:
-    """Move the younger of two sub-maps to where a place that both show says it lies; return the older one's id."""
+    """Align the younger of two sub-maps with the older one by a place that both show; return the older one's id."""
     table = world.keyframes
     own, other = int(table.submap[place.keyframe]), int(table.submap[place.candidate])
     T_other_own = place.T_world_cam @ se3.inverse(table.T_world_cam[place.keyframe])

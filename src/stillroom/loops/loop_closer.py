@@ -1,4 +1,4 @@
-"""Loop closing: detect, verify, correct, and take it back where it was wrong (ORB-SLAM2's third thread)."""
+"""Loop closing: detect, verify, correct, and undo wrong loops (ORB-SLAM2's third thread)."""
 
 import logging
 from collections.abc import Callable, Sequence
@@ -29,21 +29,21 @@ class LoopsConfig:
 
     Attributes:
         enabled: Whether loops are closed; OC-SLAM was evaluated without.
-        detection, verification: What is taken for a loop.
-        drift_m, drift_rad: Error that may have gathered anywhere.
-        drift_m_per_m, drift_rad_per_m: Error that may have gathered on each metre of the shortest known way between
-            the place then and now: a look-alike that odometry puts further off is refused.
-        sight_m, sight_rad: Images further apart than this show different things. What cannot be a loop for all the
-            drift there may be is not even looked at.
-        full_beyond_m, full_beyond_rad: A loop that was further off than this is followed by an adjustment of all
-            keyframes; else those that show the place are adjusted, which costs the same however large the map is.
-        essential_weight: Shared points from which on two keyframes are joined in the essential graph.
-        max_lost_share: Share of the map's observations that may stop fitting through a loop; beyond it is undone.
-        max_lost_share_of_one: The same for the keyframe that suffers most.
-        min_kept_share: Share of what the loop joined that must fit afterwards.
-        abort_after: Full bundle adjustment ends early when so many keyframes have come since it began.
-        graph, bundle: The optimisers. Adjustment starts almost undamped: the pose graph has brought it near its goal,
-            and what damping holds back first is what the map does as a whole.
+        detection, verification: What counts as a loop.
+        drift_m, drift_rad: Drift allowed anywhere.
+        drift_m_per_m, drift_rad_per_m: Drift allowed on each metre of the shortest known path between the two visits: a
+            similar place that odometry puts further off is refused.
+        sight_m, sight_rad: Images further apart than this show different things. Candidates that the allowed drift
+            cannot explain are not verified.
+        full_beyond_m, full_beyond_rad: A loop with a larger error than this is followed by bundle adjustment of all
+            keyframes; else of those that show the place, at a cost independent of the size of the map.
+        essential_weight: Shared points from which on two keyframes are connected in the essential graph.
+        max_lost_share: Largest share of the map's observations that may become outliers; beyond, the loop is undone.
+        max_lost_share_of_one: The same for the worst keyframe.
+        min_kept_share: Least share of the fused observations that must be inliers afterwards.
+        abort_after: Full bundle adjustment ends early when this many keyframes were added meanwhile.
+        graph, bundle: The optimisers. Adjustment starts almost undamped: the pose graph has brought it near the
+            optimum, and damping slows the large-scale deformation first.
     """
 
     enabled: bool = True
@@ -70,22 +70,22 @@ class LoopsConfig:
 
         Args:
             parts: What it is built of.
-            places: Knows the keyframes by their looks.
-            after: Called when the map has been corrected: what must follow the keyframes to where they are now.
+            places: The place index of the keyframes.
+            after: Called when the map has been corrected, to update what depends on keyframe poses.
         """
         check(self, "loops")
         return LoopCloser(self, parts, places, after) if self.enabled else NoLoops()
 
 
 class LoopClosing(Protocol):
-    """Makes the map agree with itself when a place is seen again."""
+    """Corrects the map when a place is seen again."""
 
     def close(self, keyframe: int) -> bool:
-        """Look whether a keyframe, the newest, closes a loop, and correct the map; return whether it did."""
+        """Check whether a keyframe, the newest, closes a loop, and correct the map; return whether it did."""
 
 
 class NoLoops:
-    """Closes none."""
+    """The null object: closes no loops."""
 
     def close(self, keyframe: int) -> bool:
         """Return that there was none."""
@@ -93,11 +93,11 @@ class NoLoops:
 
 
 class LoopCloser:
-    """Closes loops. Asked with every new keyframe, in order, after local mapping.
+    """Closes loops. Called with every new keyframe, in order, after local mapping.
 
     Attributes:
         closed: The loops that were closed.
-        refused: Loops that were undone, with why.
+        refused: Loops that were undone, with the reason.
     """
 
     def __init__(
@@ -107,7 +107,7 @@ class LoopCloser:
         places: PlaceMemory,
         after: Sequence[Callable[[], None]],
     ) -> None:
-        """Start without a past."""
+        """Start empty."""
         self.config, self.camera, self.world, self.places = config, parts.camera, parts.world, places
         self.closed: list[Loop] = []
         self.refused: list[tuple[Loop, Verdict]] = []
@@ -117,7 +117,7 @@ class LoopCloser:
         self._after = tuple(after)
 
     def close(self, keyframe: int) -> bool:
-        """Look whether a keyframe, the newest, closes a loop, and correct the map; return whether it did."""
+        """Check whether a keyframe, the newest, closes a loop, and correct the map; return whether it did."""
         if not self.world.keyframes.is_alive[keyframe]:
             return False
         for candidate in self._within_sight(keyframe, self._detector.candidates(keyframe)):
@@ -128,7 +128,7 @@ class LoopCloser:
         return False
 
     def _is_plausible(self, loop: Loop) -> bool:
-        """Return whether the map may have drifted by as much as the loop says."""
+        """Return whether the allowed drift explains the loop."""
         T_is_should = se3.inverse(self.world.keyframes.T_world_cam[loop.keyframe]) @ loop.T_world_cam
         edges = essential_edges(self.world, self.world.covisibility.min_weight)
         way_m = float(paths_from(loop.keyframe, edges, self.world)[loop.candidate])
@@ -147,7 +147,7 @@ class LoopCloser:
         return plausible
 
     def _within_sight(self, keyframe: int, candidates: list[int]) -> list[int]:
-        """Return the candidates that may show what the keyframe shows, for all that the map can have drifted."""
+        """Return the candidates that may show what the keyframe shows, given the allowed drift."""
         if not candidates:
             return []
         poses, config = self.world.keyframes.T_world_cam, self.config
@@ -157,14 +157,14 @@ class LoopCloser:
         return [k for k, T in chosen if self._may_be_off(T, float(ways_m[k]), config.sight_m, config.sight_rad)]
 
     def _may_be_off(self, T_is_should: F64, way_m: float, more_m: float = 0.0, more_rad: float = 0.0) -> bool:
-        """Return whether drift along a way, and something more, explains a motion (4, 4)."""
+        """Return whether drift along a path, and a margin, explains a motion (4, 4)."""
         config = self.config
         off_m, off_rad = float(np.linalg.norm(T_is_should[:3, 3])), float(se3.angle_rad(T_is_should))
         near = off_m <= config.drift_m + config.drift_m_per_m * way_m + more_m
         return near and off_rad <= config.drift_rad + config.drift_rad_per_m * way_m + more_rad
 
     def correct(self, loop: Loop) -> bool:
-        """Correct the map for a loop; take it back where the map had to give up what it knew."""
+        """Correct the map for a loop; undo it where too many earlier inliers are lost."""
         world = self.world
         with world.lock:
             before = Snapshot(world)

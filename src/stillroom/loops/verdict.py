@@ -1,4 +1,4 @@
-"""Did the map have to give up what it knew to make a loop fit? Then the loop is wrong."""
+"""The consistency check after a loop: where too many earlier inliers became outliers, the loop is wrong."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -15,15 +15,15 @@ from stillroom.loops.correction import apply_motions, carry_newer
 _LINKS = ("point", "next_row")
 _TO_WRITE = "is_unsaved"
 _LEAST_OBSERVATIONS = 30
-"""Of a keyframe that is judged alone."""
+"""Fewest observations of a keyframe that is checked alone."""
 _CHI2_2D, _CHI2_3D = 5.991, 7.815
 
 
-# The map as it was, so that a loop that turns out wrong can be undone.
+# The map before a correction, so that a wrong loop can be undone.
 
 
 class Snapshot:
-    """What a correction may change of a map: poses, points, and who sees what. Keypoints themselves never change."""
+    """What a correction may change of a map: poses, points and observations. Keypoints themselves never change."""
 
     def __init__(self, world: Map) -> None:
         """Copy it."""
@@ -35,17 +35,17 @@ class Snapshot:
 
     @property
     def T_world_cam(self) -> F64:
-        """The keyframes' poses then (K, 4, 4)."""
+        """The keyframes' poses in the snapshot (K, 4, 4)."""
         return self._keyframes["T_world_cam"]
 
     @property
     def seen(self) -> tuple[I64, I64, F64]:
-        """Rows that saw a point then (O,), the point of each (O,), and where all points were (P, 3) [m]."""
+        """In the snapshot: rows with a point (O,), the point of each (O,), and positions of all points (P, 3) [m]."""
         rows = np.flatnonzero(self._links["point"] >= 0)
         return rows, self._links["point"][rows].astype(np.int64), self._points["position_m"]
 
     def restore(self, world: Map) -> None:
-        """Make the map what it was. Keyframes and points that came since stay, and go where their parents go."""
+        """Restore the map. Keyframes and points that were added since stay, and move with their parents."""
         n_keyframes, n_points, n_rows = len(self.T_world_cam), len(self._points["is_alive"]), len(self._links["point"])
         table, points, keyframes = world.keypoints, world.points, world.keyframes
         is_new = (table.point >= n_points) | ((np.arange(len(table)) >= n_rows) & (table.point >= 0))
@@ -66,7 +66,7 @@ class Snapshot:
         self._carry_along(n_keyframes, n_points, T_world_wrong, world)
 
     def _carry_along(self, n_keyframes: int, n_points: int, T_world_wrong: F64, world: Map) -> None:
-        """Move keyframes and points that came since with what they hang on."""
+        """Move keyframes and points that were added since with their parents."""
         carry_newer(n_keyframes, T_world_wrong, world)
         for keyframe in range(n_keyframes, len(world.keyframes)):
             world.connect(keyframe)
@@ -82,12 +82,12 @@ def _copy(views: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What a correction cost.
+    """The consistency of a correction.
 
     Attributes:
-        lost_share: Share of the observations that fitted before and do not fit now.
+        lost_share: Share of the inlier observations that became outliers.
         worst_share: The same of the keyframe that lost most.
-        kept_share: Share of the observations that the loop added which fit now.
+        kept_share: Share of the observations added by the loop that are inliers.
     """
 
     lost_share: float
@@ -97,7 +97,7 @@ class Verdict:
 
 @dataclass(frozen=True)
 class LinkChange:
-    """What the joining of points changed: rows that see a point before and after, and those that see another now.
+    """What fusing points changed: rows with a point before and after, and rows with another point now.
 
     Attributes:
         rows, points: Rows (O,) that saw a point before, and which (O,) they see now.
@@ -111,7 +111,7 @@ class LinkChange:
 
     @staticmethod
     def since(before: Snapshot, world: Map) -> "LinkChange":
-        """Compare a map with what it was."""
+        """Compare a map with its snapshot."""
         now = world.keypoints.point.astype(np.int64)
         then = np.full(len(now), -1, dtype=np.int64)
         rows, points, _ = before.seen
@@ -121,11 +121,11 @@ class LinkChange:
 
 
 def judge(before: Snapshot, links: LinkChange, world: Map, camera: Camera) -> Verdict:
-    """Compare the map, corrected and adjusted, with what it was.
+    """Compare the map, corrected and adjusted, with its snapshot.
 
     Args:
         before: The map before the correction.
-        links: Who saw what when points had been joined, before bundle adjustment threw out what did not fit.
+        links: The observations after fusing points, before bundle adjustment removed outliers.
         world: The map now.
         camera: The calibration.
     """
@@ -145,7 +145,7 @@ def judge(before: Snapshot, links: LinkChange, world: Map, camera: Camera) -> Ve
 
 
 def fits(rows: Ints, points: Ints, T_world_cam: F64, positions_m: F64, world: Map, camera: Camera) -> Bool:
-    """Return which rows (O,) see points (O,) where poses (K, 4, 4) and positions (P, 3) [m] say that they are."""
+    """Return which observations of points (O,) by rows (O,) are inliers at poses (K, 4, 4) and positions (P, 3) [m]."""
     table = world.keypoints
     T_cam_world = se3.inverse(T_world_cam)[table.keyframe[rows]]
     points_cam = np.einsum("nij,nj->ni", T_cam_world[:, :3, :3], positions_m[points]) + T_cam_world[:, :3, 3]

@@ -1,4 +1,4 @@
-"""Is it really the same place? Matched points decide, by a rigid motion that lays them upon each other."""
+"""Geometric verification of a loop: a rigid motion that aligns the matched points."""
 
 from dataclasses import dataclass
 
@@ -18,7 +18,7 @@ from stillroom.optimize.pose import PoseOptimizer
 from stillroom.protocols import Parts
 
 _CHI2_RANSAC = 9.21
-"""99 % at two degrees of freedom: what a matched pair may be off in either image (ORB-SLAM2)."""
+"""99 % at two degrees of freedom: the limit on the error of a pair in either image (ORB-SLAM2)."""
 
 
 @dataclass(frozen=True)
@@ -30,8 +30,8 @@ class VerificationConfig:
         n_samples: Triples that RANSAC tries.
         min_inliers: Pairs that agree with one rigid motion, before and after the search that it guides.
         window_px: Where that search looks, on the finest level.
-        min_total: Points of the place and its surroundings that the keyframe must see in the end.
-        min_share: Share of those it should see that it must see.
+        min_total: Points of the place and its surroundings that the keyframe must match finally.
+        min_share: Least share of the visible ones that it must match.
     """
 
     min_matches: int = 20
@@ -42,18 +42,18 @@ class VerificationConfig:
     min_share: float = 0.1
 
     def build(self, parts: Parts) -> "Verifier":
-        """Return the verifier; its random choices start from the seed."""
+        """Return the verifier; the seed initialises its random generator."""
         return Verifier(self, parts.camera, parts.seed)
 
 
 @dataclass(frozen=True)
 class Loop:
-    """A keyframe that shows a place known already.
+    """A keyframe that shows a known place.
 
     Attributes:
         keyframe: The keyframe.
         candidate: The keyframe that showed the place before.
-        T_world_cam: Pose (4, 4) of the keyframe by what the candidate's surroundings say.
+        T_world_cam: Pose (4, 4) of the keyframe relative to the candidate's surroundings.
         rows: Rows of the keypoint table (M,), all of the keyframe.
         point_ids: The points of the place that they see (M,).
         n_visible: How many of the place's points should be seen.
@@ -97,7 +97,7 @@ class Verifier:
         Args:
             keyframe: The new keyframe; it is in the index.
             candidate: A keyframe that looks like it; it is in the index too.
-            index: Says which keypoints are worth comparing.
+            index: Its direct index chooses the keypoints to compare.
             world: The map.
         """
         config = self.config
@@ -131,7 +131,7 @@ class Verifier:
         mine, theirs = match_by_branch(table.descriptors[here], nodes_here, table.descriptors[there], nodes_there)
         steady = consistent_rotation(table.angle_rad[here][mine], table.angle_rad[there][theirs])
         mine, theirs = mine[steady], theirs[steady]
-        # What both see already as one point tells nothing new, and a point is wanted once.
+        # Points that both observe already add nothing, and each point is used once.
         ids = table.point[there][theirs]
         other = table.point[here][mine] != ids
         return _Pairs(here.start + mine.astype(np.int64), ids).keep(other)
@@ -143,7 +143,7 @@ class Verifier:
         here_m = se3.transform(T_here_world, points.position_m[table.point[pairs.rows]])
         there_m = se3.transform(T_there_world, points.position_m[pairs.point_ids])
         n_levels, factor = world.scales.count, world.scales.factors
-        # The keyframe's keypoint says how exact either side is: the same corner is seen on about the same level.
+        # The keyframe's keypoint gives the scale for both sides: the same corner is found on about the same level.
         limit2 = _CHI2_RANSAC * factor[np.minimum(table.octave[pairs.rows], n_levels - 1)] ** 2
         seen_here, seen_there = table.px[pairs.rows], self._pixels(there_m)
 
@@ -164,7 +164,7 @@ class Verifier:
         return self.camera.project(safe)
 
     def _search_and_fit(self, ids: I32, T_cam_world: F64, keyframe: int, world: Map) -> tuple[F64, _Pairs] | None:
-        """Look for points (P,) in the keyframe around where a pose wants them, and fit the pose to what was found."""
+        """Search points (P,) in the keyframe around their projections, and fit the pose to the matches."""
         pairs = self._search(ids, T_cam_world, keyframe, world)
         if len(pairs) < self.config.min_inliers:
             return None

@@ -1,1 +1,1 @@
-"""What a keyframe adds to the map, and what it takes out."""
+"""Local mapping: new points, fusing, local bundle adjustment, culling."""

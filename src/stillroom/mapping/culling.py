@@ -1,4 +1,4 @@
-"""What leaves the map again: points that did not prove themselves, keyframes that add nothing."""
+"""Culling: unreliable points and redundant keyframes."""
 
 import numpy as np
 
@@ -10,19 +10,21 @@ from stillroom.geometry.arrays import F32, I32, Bool
 MIN_FOUND_RATIO = 0.25
 MIN_OBSERVATIONS = 3
 TRIAL_KEYFRAMES = 8
-"""ORB-SLAM2 has 2. Its keyframes lie further apart in time; here that would throw away most of what a fast turn saw."""
+"""ORB-SLAM2 has 2. Its keyframes lie further apart in time; here that would remove most of the points of a fast
+rotation.
+"""
 REDUNDANT_SHARE = 0.9
 _MIN_OTHERS = 3
 
 
 def on_trial(world: Map) -> I32:
-    """Return the points (P,) of the last keyframes, which have yet to prove themselves."""
+    """Return the recent points (P,), which are still being tested: those of the last keyframes."""
     first = len(world.keyframes) - TRIAL_KEYFRAMES
     return np.flatnonzero(world.points.is_alive & (world.points.first_keyframe >= first)).astype(np.int32)
 
 
 def cull_points(recent: I32, keyframe: int, world: Map) -> I32:
-    """Remove recent points (P,) that are rarely found or, some keyframes on, hardly seen; return those on trial still.
+    """Remove recent points (P,) that are rarely found or, after some keyframes, hardly seen; return the others.
 
     An observation with depth counts as two (docs/reference.md#orb-slam2-mapping).
     """

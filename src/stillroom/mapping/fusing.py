@@ -1,4 +1,4 @@
-"""Finding out that two points are one."""
+"""Fusing of duplicate map points."""
 
 import numpy as np
 
@@ -25,7 +25,7 @@ def neighbourhood(keyframe: int, world: Map, n_first: int = 10, n_second: int = 
 
 
 def fuse_neighbourhood(keyframe: int, camera: Camera, world: Map) -> None:
-    """Project the keyframe's points into its neighbours and theirs into it; join what meets (ORB-SLAM2)."""
+    """Project the keyframe's points into its neighbours and theirs into it, and fuse matches (ORB-SLAM2)."""
     neighbours = neighbourhood(keyframe, world)
     for neighbour in neighbours:
         own = world.points_of(keyframe)
@@ -37,9 +37,9 @@ def fuse_neighbourhood(keyframe: int, camera: Camera, world: Map) -> None:
 
 
 def fuse(point_ids: I32, keyframe: int, camera: Camera, world: Map) -> None:
-    """Let a keyframe see those of the points (P,) that it should: by a new observation, or by joining two points.
+    """Search points (P,) in a keyframe, and add an observation or fuse two points for each match.
 
-    Of two points that are one, the one with more observations stays.
+    Of two fused points the one with more observations stays.
     """
     table, points = world.keypoints, world.points
     ids = world.without(point_ids, world.points_of(keyframe))

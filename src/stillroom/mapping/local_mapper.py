@@ -1,4 +1,4 @@
-"""Local mapping (ORB-SLAM2): what happens to the map when a keyframe comes."""
+"""Local mapping (ORB-SLAM2): the update of the map for a new keyframe."""
 
 from dataclasses import dataclass, field
 
@@ -20,7 +20,7 @@ from stillroom.protocols import Parts
 
 
 def adjust_locally(keyframe: int, max_keyframes: int, camera: Camera, adjust: BundleAdjuster, world: Map) -> None:
-    """Adjust a keyframe, its strongest neighbours and their points; others that see these points hold them in place.
+    """Adjust a keyframe, its strongest neighbours and their points; others that see these points are fixed.
 
     Observations that do not fit afterwards are removed.
     """
@@ -33,7 +33,7 @@ def adjust_all(camera: Camera, adjust: BundleAdjuster, world: Map) -> None:
 
 
 def adjust_these(free: list[int], camera: Camera, adjust: BundleAdjuster, world: Map) -> None:
-    """Adjust some keyframes and their points; others that see these hold them in place, as does a sub-map's first."""
+    """Adjust some keyframes and their points; others that see these are fixed, and so is a sub-map's first."""
     if not free:
         return
     table, points, keyframes = world.keypoints, world.points, world.keyframes
@@ -44,7 +44,7 @@ def adjust_these(free: list[int], camera: Camera, adjust: BundleAdjuster, world:
     if is_fixed.all() or len(rows) == 0:
         return
     if not is_fixed.any():
-        is_fixed[0] = True  # Something must hold the map where it is; the oldest keyframe does.
+        is_fixed[0] = True  # One keyframe must be fixed (gauge freedom): the oldest.
     problem = BundleProblem(
         T_cam_world=se3.inverse(keyframes.T_world_cam[involved]),
         is_fixed=is_fixed,
@@ -75,10 +75,10 @@ class LocalMapperConfig:
         max_final_keyframes: When the run ends, the whole map is adjusted once more if it has no more keyframes than
             this; 0 leaves it as it is, as ORB-SLAM2 does.
         max_final_keyframes_looped: The same for a map in which loops were closed. Where no place was seen twice, a
-            large map gains nothing by it; where one was, what came after the loop mends the way that led there.
+            large map gains nothing by it; where one was, the loop improves the path before it too.
         bundle: The optimiser around a new keyframe, and of the whole map without loops.
-        looped_bundle: That of a whole map with loops. It starts almost undamped: what damping holds back first is
-            what the map does as a whole.
+        looped_bundle: That of a whole map with loops. It starts almost undamped: damping slows the large-scale
+            deformation first.
     """
 
     th_depth: float = bounded(40.0, above=0)
@@ -99,7 +99,7 @@ class LocalMapper:
     """Adds keyframes to a map and refines the map around them."""
 
     def __init__(self, config: LocalMapperConfig, camera: Camera, world: Map) -> None:
-        """Start with the points on trial that an earlier run left."""
+        """Start with the recent points that an earlier run left."""
         self.config, self.camera, self.world = config, camera, world
         self._adjust, self._adjust_looped = config.bundle.build(), config.looped_bundle.build()
         self._close_depth_m = config.th_depth * camera.baseline_m
@@ -140,7 +140,7 @@ class LocalMapper:
             cull_keyframes(keyframe, self._close_depth_m, world)
 
     def finish(self) -> None:
-        """Adjust the whole map together: what later keyframes saw mends the earlier ones.
+        """Run full bundle adjustment: observations of later keyframes improve the earlier ones.
 
         A map to which nothing was added stays as it is. Differs from ORB-SLAM2, which does this after a loop only.
         """

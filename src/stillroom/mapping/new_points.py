@@ -1,4 +1,4 @@
-"""Points that a keyframe brings: from its depth at once, by triangulation with its neighbours later."""
+"""New points of a keyframe: from its depth at once, by triangulation with its neighbours later."""
 
 import numpy as np
 
@@ -16,10 +16,9 @@ _CHI2_2D, _CHI2_3D = 5.991, 7.815
 
 
 def from_depth(keyframe: int, tracked: Tracked, close_depth_m: float, world: Map) -> I32:
-    """Make points of the static keypoints with depth that see none yet: all close ones, and the nearest 100.
+    """Create points from static keypoints with depth that have none yet: all close ones, and the nearest 100.
 
-    The first keyframe of a sub-map makes all it can (ORB-SLAM2: StereoInitialization): there is nothing else to track
-    by yet.
+    The first keyframe of a sub-map creates all it can (ORB-SLAM2: StereoInitialization): there is no other map yet.
 
     Args:
         keyframe: The keyframe that the frame became.
@@ -45,7 +44,7 @@ def from_depth(keyframe: int, tracked: Tracked, close_depth_m: float, world: Map
 def by_triangulation(keyframe: int, neighbours: list[int], camera: Camera, world: Map) -> I32:
     """Make points of static keypoints that this keyframe and a neighbour both see and that have no point yet.
 
-    Where parallax is smaller than what depth offers, depth is used (ORB-SLAM2: CreateNewMapPoints).
+    Where parallax is smaller than that of depth, depth is used (ORB-SLAM2: CreateNewMapPoints).
     """
     made = [np.zeros(0, dtype=np.int32)]
     centre = world.keyframes.T_world_cam[keyframe, :3, 3]
@@ -90,7 +89,7 @@ def _free_targets(rows: slice, world: Map) -> Targets:
 
 
 def _locate(first: I64, second: I64, camera: Camera, world: Map) -> tuple[F64, Bool]:
-    """Return positions (M, 3) [m, world] of matched rows and which of them can be believed."""
+    """Return positions (M, 3) [m, world] of matched rows and which of them are reliable."""
     table, keyframes = world.keypoints, world.keyframes
     T_world_first = keyframes.T_world_cam[table.keyframe[first[0]]]
     T_world_second = keyframes.T_world_cam[table.keyframe[second[0]]]

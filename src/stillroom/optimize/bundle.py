@@ -1,4 +1,4 @@
-"""Bundle adjustment: keyframes and points together, robust, with outliers told apart.
+"""Bundle adjustment: keyframes and points together, robust, with outlier rejection.
 
 After ORB-SLAM2's local bundle adjustment (Mur-Artal and Tardós 2017, section III-B;
 docs/reference.md#orb-slam2-mapping): Levenberg–Marquardt with a Schur complement over the points. Why not a library:
@@ -30,17 +30,17 @@ from stillroom.optimize.reduced_system import reduced_system
 
 @dataclass(frozen=True)
 class BundleProblem:
-    """Keyframes, points, and who saw what where.
+    """Keyframes, points and observations.
 
     Attributes:
         T_cam_world: Keyframe poses (K, 4, 4).
-        is_fixed: Keyframes that hold still (K,) bool; with none of them the result floats freely.
+        is_fixed: Fixed keyframes (K,) bool; with none the gauge is free.
         points_world_m: Points (P, 3) [m].
         obs_keyframe, obs_point: Indices into the above (O,), in any order.
         observed_px: u, v, u_right (O, 3) [px], undistorted; u_right is not read where its weight is 0.
         weights: Inverse variances (O, 3) [1/px²]; the third is 0 where there is no right coordinate.
         p_static: How much each observation counts (O,), 0 to 1: the probability that its point was static. It weighs
-            the robust cost; whether an observation agrees is judged by its χ² alone. All 1 where not given.
+            the robust cost; whether an observation is an inlier depends on its χ² alone. All 1 by default.
     """
 
     T_cam_world: Floats
@@ -60,7 +60,7 @@ class BundleResult:
     Attributes:
         T_cam_world: Keyframe poses (K, 4, 4) float64.
         points_world_m: Points (P, 3) float64 [m].
-        is_inlier: Which observations agree (O,) bool, in the problem's order.
+        is_inlier: Which observations are inliers (O,) bool, in the problem's order.
         initial_cost, final_cost: Huber's Σpρ(χ²) of the observations that were in front of their cameras at the start.
         n_iterations: Steps tried, of both passes together.
     """
@@ -78,7 +78,7 @@ class BundleConfig:
     """Bundle adjustment.
 
     Attributes:
-        iterations_first: Iterations with Huber's kernel, at most; the outliers then leave.
+        iterations_first: Iterations with Huber's kernel, at most; outliers are then removed.
         iterations_second: Iterations without it, at most.
         chi2_2d, chi2_3d: Limits on χ², and squared thresholds of Huber's kernel, without and with a right coordinate.
         first_damping: Levenberg–Marquardt's λ at the start of each pass, relative to the diagonal.
@@ -179,24 +179,24 @@ class _Adjustment:
 
 
 class BundleAdjuster:
-    """Adjusts keyframes and points to what was observed."""
+    """Adjusts keyframes and points to the observations."""
 
     def __init__(self, config: BundleConfig | None = None) -> None:
         self.config = config or BundleConfig()
 
     def __call__(self, problem: BundleProblem, camera: Camera, stop: Callable[[], bool] | None = None) -> BundleResult:
-        """Adjust the free keyframes and all points, and judge every observation.
+        """Adjust the free keyframes and all points, and classify every observation.
 
         A first pass with Huber's kernel over all observations in front of their cameras; those beyond their χ² limit
-        leave; a second pass without the kernel; a last verdict on every observation. Within a
-        pass the estimate changes only by steps that lower that pass's cost, and a finite start never ends in NaN.
+        are removed; a second pass without the kernel; a final classification of every observation. Within a pass the
+        estimate changes only by steps that lower that pass's cost, and a finite start never ends in NaN.
 
         Differs from ORB-SLAM2: damping relative to the diagonal, and a pass ends early when it has converged.
 
         Args:
             problem: What to adjust.
             camera: The calibration of all keyframes.
-            stop: Asked before each step whether to end early; what was reached by then is as sound as any result.
+            stop: Called before each step; true ends it early, with a valid result.
 
         Raises:
             IndexError: An observation names a keyframe or point that does not exist.

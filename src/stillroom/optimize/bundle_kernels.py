@@ -24,7 +24,7 @@ from stillroom.optimize.observations import (
 )
 
 DIAGONAL_FLOOR = 1e-9
-"""Added to every diagonal entry: what nothing observes stays where it is, and nothing becomes singular."""
+"""Added to every diagonal entry: what has no observations stays where it is, and no block becomes singular."""
 
 
 class Order(NamedTuple):
@@ -35,7 +35,7 @@ class Order(NamedTuple):
 
 
 class Observations(NamedTuple):
-    """Who saw what where.
+    """The observations.
 
     Attributes:
         starts, slots: Their order.
@@ -142,7 +142,7 @@ def linearize(T: F64, points: F64, seen: Observations, deltas2: tuple[float, flo
             if slots[o] >= 0:
                 camera_blocks(x, y, z, info, H_cc[slots[o]], b_c[slots[o]])
                 mixed_block(R, x, y, z, info, W[o])
-            else:  # nobody asks how such a camera would move
+            else:  # a fixed camera needs no derivative
                 point_block(R, info, W[o])
             h00 += R[0, 0] * W[o, 0, 0] + R[1, 0] * W[o, 0, 1] + R[2, 0] * W[o, 0, 2]
             h10 += R[0, 1] * W[o, 0, 0] + R[1, 1] * W[o, 0, 1] + R[2, 1] * W[o, 0, 2]
@@ -185,8 +185,8 @@ def factor_points(H_pp: F64, damping: float, L: F64) -> None:
 def add_product(Za: F64, Zb: F64, block: F64) -> None:
     """Add ZaᵀZb of two (3, 6) to a block (6, 6).
 
-    Zb is read once, into registers: read again for each row, as the compiler must when it cannot rule out that the
-    block lies upon it, this takes nearly twice as long.
+    Zb is read once, into registers: read again for each row, as the compiler must where the arrays may alias, this
+        takes nearly twice as long.
     """
     b00, b01, b02, b03, b04, b05 = Zb[0, 0], Zb[0, 1], Zb[0, 2], Zb[0, 3], Zb[0, 4], Zb[0, 5]
     b10, b11, b12, b13, b14, b15 = Zb[1, 0], Zb[1, 1], Zb[1, 2], Zb[1, 3], Zb[1, 4], Zb[1, 5]
@@ -288,7 +288,7 @@ def keep_in_front(
     """Shorten the steps in `moved` (P, 3) that would carry a point behind a camera which it was in front of.
 
     Behind a camera an observation has no derivative that could bring the point back. A badly seen point thus loses
-    part of its step and all others keep theirs; halved three times in vain, it stays where it is.
+    part of its step and all others keep theirs; after three halvings without success it stays where it is.
     """
     for p in range(points.shape[0]):
         for attempt in range(4):

@@ -15,7 +15,7 @@ from stillroom.geometry.arrays import F64, Floats, Ints
 from stillroom.geometry.camera import Camera
 
 MIN_DEPTH_M = 1e-3
-"""A point nearer than this counts as behind the camera: its projection says nothing."""
+"""A point nearer than this counts as behind the camera: its projection is meaningless."""
 
 
 # Keypoints as the optimisers want them.

@@ -1,4 +1,4 @@
-"""Pose-only optimisation: one camera against fixed points, robust, with outliers told apart.
+"""Pose-only optimisation: one camera against fixed points, robust, with outlier rejection.
 
 After ORB-SLAM2 (Mur-Artal and Tardós 2017, section III-B, motion-only bundle adjustment;
 docs/reference.md#orb-slam2-tracking).
@@ -51,7 +51,7 @@ class Seen(NamedTuple):
 
 @njit(nogil=True, cache=True)
 def classify(T: F64, seen: Seen, limits: tuple[float, float], chi2: F64, is_inlier: Bool) -> int:
-    """Write χ² (N,) and whether it is within its limit (N,); return how many verdicts changed.
+    """Write χ² (N,) and whether it is within its limit (N,); return how many changed.
 
     Args:
         T: The pose T_cam_world (4, 4).
@@ -177,11 +177,11 @@ def minimize_pose(
 
 @dataclass(frozen=True)
 class PoseEstimate:
-    """An optimised pose and which observations agree with it.
+    """An optimised pose and its inliers.
 
     Attributes:
         T_cam_world: The pose (4, 4) float64.
-        is_inlier: Which observations agree (N,) bool.
+        is_inlier: Which observations are inliers (N,) bool.
         chi2: Weighted squared error (N,) float64; infinite behind the camera.
     """
 
@@ -191,7 +191,7 @@ class PoseEstimate:
 
     @property
     def n_inliers(self) -> int:
-        """How many observations agree."""
+        """Number of inliers."""
         return int(np.count_nonzero(self.is_inlier))
 
 
@@ -200,7 +200,7 @@ class PoseOptimizerConfig:
     """Pose-only optimisation.
 
     Attributes:
-        rounds: Optimisations, each followed by a new verdict on every observation.
+        rounds: Optimisations, each followed by a new classification of every observation.
         iterations: Levenberg–Marquardt iterations a round, at most.
         chi2_2d: Limit on χ² without a right coordinate: 95 % at two degrees of freedom.
         chi2_3d: The same with a right coordinate: three degrees of freedom.
@@ -233,12 +233,12 @@ class _Problem:
         self.is_inlier = np.zeros(n, dtype=np.bool_)
 
     def classify(self, T_cam_world: F64, limits: tuple[float, float]) -> int:
-        """Judge every observation; return how many verdicts changed."""
+        """Classify every observation; return how many changed."""
         return int(classify(T_cam_world, self.seen, limits, self.chi2, self.is_inlier))
 
 
 class PoseOptimizer:
-    """Finds a camera's pose from known points, whatever share of the matches is wrong."""
+    """Estimates a camera's pose from known points, robust to wrong matches."""
 
     def __init__(self, config: PoseOptimizerConfig | None = None) -> None:
         self.config = config or PoseOptimizerConfig()
@@ -252,15 +252,15 @@ class PoseOptimizer:
         camera: Camera,
         p_static: Floats | None = None,
     ) -> PoseEstimate:
-        """Optimise the pose and judge every observation.
+        """Optimise the pose and classify every observation.
 
         Rounds of Levenberg–Marquardt on the present inliers, Huber's kernel in the first three and none later; after
-        each round every observation is judged again, so that an outlier may come back. Points behind the camera are
-        outliers. With fewer than three usable observations the guess comes back and nothing is an inlier.
+        each round every observation is classified again, so that an outlier may become an inlier. Points behind the
+        camera are outliers. With fewer than three usable observations the guess is returned and nothing is an inlier.
 
         Differs from ORB-SLAM2: a round starts from the last one's pose, not from the guess again, and the rounds end
-        when the pose has converged and no verdict changed (the inliers then lie within Huber's quadratic part, and
-        further rounds would change nothing).
+        when the pose has converged and no classification changed (the inliers then lie within Huber's quadratic part,
+        and further rounds would change nothing).
 
         Args:
             T_cam_world_guess: Where to start (4, 4).
@@ -269,7 +269,7 @@ class PoseOptimizer:
             weights: Inverse variances (N, 3) [1/px²]; the third is 0 where there is no right coordinate.
             camera: Intrinsics and bf.
             p_static: How much each observation counts (N,), 0 to 1: the probability that its point is static. It
-                weighs the robust cost; whether an observation agrees is judged by its χ² alone. All 1 where not given.
+                weighs the robust cost; whether an observation is an inlier depends on its χ² alone. All 1 by default.
         """
         config = self.config
         guess = np.array(T_cam_world_guess, dtype=np.float64)

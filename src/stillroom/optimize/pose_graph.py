@@ -15,7 +15,7 @@ from stillroom.geometry import se3, twists
 from stillroom.geometry.arrays import F64, I64, Bool, Floats, Ints
 
 _FLOOR = 1e-9
-"""Added to the diagonal: a node that nothing holds stays where it is, and nothing becomes singular."""
+"""Added to the diagonal: a node without edges stays where it is, and no block becomes singular."""
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class PoseGraph:
 
     Attributes:
         T_world_node: Poses to start from (N, 4, 4).
-        is_fixed: Nodes that hold still (N,); each connected part needs one.
+        is_fixed: Fixed nodes (N,); each connected part needs one.
         first, second: The nodes that an edge joins (E,).
         T_first_second: What was measured between them (E, 4, 4).
         information: Inverse variances of translation [1/m²] and rotation [1/rad²] (E, 6), in the second node's frame.
@@ -40,7 +40,7 @@ class PoseGraph:
 
 @dataclass(frozen=True)
 class PoseGraphResult:
-    """The nodes at rest.
+    """The optimised nodes.
 
     Attributes:
         T_world_node: Poses (N, 4, 4).
@@ -78,17 +78,17 @@ class PoseGraphConfig:
 
 
 class PoseGraphOptimizer:
-    """Brings a pose graph to rest: Levenberg–Marquardt, robust, sparse."""
+    """Optimises a pose graph: Levenberg–Marquardt, robust, sparse."""
 
     def __init__(self, config: PoseGraphConfig | None = None) -> None:
         self.config = config or PoseGraphConfig()
 
     def __call__(self, graph: PoseGraph, stop: Callable[[], bool] | None = None) -> PoseGraphResult:
-        """Move the free nodes to where the edges want them.
+        """Minimise the robust error of the edges over the free nodes.
 
         Args:
             graph: What to optimise.
-            stop: Asked between steps whether to end early.
+            stop: Called between steps; true ends it early.
         """
         config, system = self.config, _NormalEquations(graph)
         T = np.array(graph.T_world_node, dtype=np.float64)

@@ -67,7 +67,7 @@ class DenseSystem:
 
 
 class SparseSystem:
-    """A factorisation that follows who shares points with whom: blocks of the lower triangle, row by row."""
+    """A factorisation with the sparsity of shared points: blocks of the lower triangle, row by row."""
 
     def __init__(self, n_free: int, order: Order) -> None:
         self._order, self._scratch = order, _scratch(order.starts)
@@ -92,7 +92,7 @@ class SparseSystem:
         whole = (lower + below.T).tocsc()
         try:
             system = splu(whole, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-        except RuntimeError:  # SuperLU's word for a singular matrix
+        except RuntimeError:  # SuperLU raises this for a singular matrix
             return None
         return _finite(system.solve(self._rhs.ravel()))
 

@@ -1,4 +1,4 @@
-"""A run from input to results folder, and the evaluation of what lies there. `run` is a table of contents."""
+"""A run from input to results folder, and its evaluation. Start reading at `run`."""
 
 from stillroom.pipeline.evaluating import EvaluatedTrajectory, evaluate_files, evaluate_folder
 from stillroom.pipeline.options import RunOptions, RunOutcome, Source

@@ -1,4 +1,4 @@
-"""Measure what lies in a results folder, or in any two files."""
+"""Evaluate a results folder, or any trajectory file."""
 
 import logging
 from dataclasses import dataclass
@@ -19,8 +19,8 @@ class EvaluatedTrajectory:
     """A trajectory with its figures.
 
     Attributes:
-        name: What it is called in tables and pictures.
-        folder: Where figures and pictures were written; None where nowhere.
+        name: Name in tables and pictures.
+        folder: Where figures and pictures were written; None if nothing was written.
         evaluation: The figures.
         pictures: What was drawn.
     """
@@ -32,7 +32,7 @@ class EvaluatedTrajectory:
 
 
 def evaluate_trajectory(trajectory: Trajectory, truth: results.Truth | None, n_given: int) -> Evaluation | None:
-    """Measure a run; None, and a word in the log, where there is nothing to measure it by."""
+    """Evaluate a run; None, with a warning, where there is no ground truth or nothing to compare."""
     if truth is None:
         return None
     try:
@@ -43,7 +43,7 @@ def evaluate_trajectory(trajectory: Trajectory, truth: results.Truth | None, n_g
 
 
 def evaluate_folder(path: Path, baseline: Path | None = None, write: bool = True) -> EvaluatedTrajectory:
-    """Measure the run of a results folder again; its metrics.json and pictures are made again.
+    """Evaluate the run of a results folder again; its metrics.json and pictures are made again.
 
     Args:
         path: The folder; `latest` may stand for one.
@@ -51,7 +51,7 @@ def evaluate_folder(path: Path, baseline: Path | None = None, write: bool = True
         write: Whether to write anything.
 
     Raises:
-        StillroomError: A folder is none of results.
+        StillroomError: A folder is not a results folder.
         TrajectoryError: There is no ground truth, or nothing can be compared.
     """
     folder, trajectory, truth, evaluation = _measured(path)
@@ -71,12 +71,12 @@ def evaluate_folder(path: Path, baseline: Path | None = None, write: bool = True
 def evaluate_files(
     estimate: Path, truth: results.Truth, folder: Path | None, baseline: Path | None = None
 ) -> EvaluatedTrajectory:
-    """Measure anyone's trajectory.
+    """Evaluate a trajectory of any system.
 
     Args:
         estimate: A file in the TUM format.
-        truth: What to measure it by.
-        folder: Where to write figures and pictures; None for nowhere.
+        truth: The ground truth.
+        folder: Where to write figures and pictures; None to write nothing.
         baseline: Another such file, to compare it with.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Looks on at a run and paints out what moves."""
+"""Observes a run and inpaints what moves."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -20,22 +20,22 @@ from stillroom.viz.film import VideoFile, contact_sheet
 from stillroom.viz.png import write_png
 
 EVERY = 5
-"""Every so many-th frame is judged: the empty room must be rendered for it."""
+"""Stride of the frames whose error is measured: the empty room must be rendered for them."""
 BRIGHTEST = 255.0
 IMAGES = "inpainted"
 SHEET = "inpainting.png"
 
 
-# How near a painted sequence comes to the same rendered room without people.
+# The error of an inpainted sequence against the same rendered room without people.
 
 
 @dataclass
 class PaintedError:
-    """The error of painted pixels, where the background had been seen.
+    """The error of inpainted pixels, where the background had been seen.
 
     Attributes:
         empty: The sequence without people.
-        n_frames, n_pixels: How many were judged.
+        n_frames, n_pixels: How many were compared.
         squared: Sum of the squared errors of their red, green and blue.
     """
 
@@ -45,7 +45,7 @@ class PaintedError:
     squared: float = 0.0
 
     def add(self, index: int, rgb: U8, is_filled: Bool) -> None:
-        """Judge the painted pixels (H, W) of a painted image (H, W, 3), if it is its turn."""
+        """Compare the inpainted pixels (H, W) of an image (H, W, 3), if it is at the stride."""
         if index % EVERY != 0 or not is_filled.any():
             return
         true = self.empty.load(index).rgb
@@ -55,7 +55,7 @@ class PaintedError:
 
     @property
     def psnr_db(self) -> float | None:
-        """Peak signal-to-noise ratio over all of them [dB]; None where nothing was judged, infinite without error."""
+        """Peak signal-to-noise ratio over all of them [dB]; None where nothing was compared, infinite without error."""
         if self.n_pixels == 0:
             return None
         mean = self.squared / (3 * self.n_pixels)
@@ -63,7 +63,7 @@ class PaintedError:
 
 
 def painted_error(dataset: Dataset) -> PaintedError | None:
-    """Return what judges a painted sequence; None where nobody knows what is behind the people."""
+    """Return the error measure of an inpainted sequence; None where the background behind people is unknown."""
     room = rendered(dataset)
     empty = None if room is None else room.without_people()
     return None if empty is None else PaintedError(empty)
@@ -75,10 +75,11 @@ class InpaintingRecorderConfig:
 
     Attributes:
         painting: How they are painted.
-        every: Every how many frames of the sequence one is written as an image, by its number; 0 for none.
+        every: Stride of the frames that are written as images, by their numbers; 0 for none.
         video: Name of the video; "" for none.
         on_sheet: How many frames the contact sheet shows.
-        map_every: Every how many frames the dense map is asked again, to fill what no keyframe saw; 0 for never.
+        map_every: Stride in frames at which the dense map is extracted again, to fill what no keyframe saw; 0 for
+            never.
     """
 
     painting: InpaintingConfig = field(default_factory=InpaintingConfig)
@@ -101,10 +102,10 @@ class InpaintingRecorderConfig:
         Args:
             folder: The folder.
             camera: The calibration.
-            system: The one whose run is looked at.
+            system: The system that is observed.
             sheet_frames: Numbers of the frames for the contact sheet.
             fps: Frames per second of the video [1/s].
-            error: Judges what was painted; None where the truth is not known.
+            error: The error measure; None where the truth is not known.
 
         Raises:
             ConfigError: A value is impossible.
@@ -127,7 +128,7 @@ class Share:
 
     @property
     def filled(self) -> float | None:
-        """Which share of them was painted; None where nothing moved."""
+        """Share of them that was painted; None where nothing moved."""
         return self.n_filled / self.n_wanted if self.n_wanted else None
 
 
@@ -144,7 +145,7 @@ class InpaintingRecorder:
         sheet_frames: frozenset[int],
         error: PaintedError | None = None,
     ) -> None:
-        """Take note; files are made with the first frame."""
+        """Store the settings; files are made with the first frame."""
         self.config, self.share, self.error, self.n_frames = config, Share(), error, 0
         self._folder, self._painter, self._system, self._video = folder, painter, system, video
         self._sheet_frames = sheet_frames
@@ -152,7 +153,7 @@ class InpaintingRecorder:
         self._cloud: DenseCloud | None = None
 
     def on_frame(self, tracked: Tracked, semantics: Semantics, result: FrameResult) -> None:
-        """Paint the frame and write it; one whose place is unknown stays as it is.
+        """Inpaint the frame and write it; one without a pose stays as it is.
 
         Raises:
             StillroomError: A file cannot be written.

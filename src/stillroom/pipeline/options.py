@@ -1,4 +1,4 @@
-"""What can be asked of a run: which images it is given, and what it does beside tracking."""
+"""The options of a run: its images, and what it does in addition to tracking. And its outcome."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
@@ -26,15 +26,15 @@ class RunOutcome:
         method: Its name.
         folder: Where its results lie; None where nothing was to be written.
         system: As it is after the last frame: trajectories, results of all frames, the map.
-        clock: What the stages cost.
+        clock: Times of the stages.
         evaluation: Its figures; None without ground truth, or with a trajectory that cannot be compared to it.
         n_given: Images that the run was given, those that cannot be read among them.
         interrupted: Whether it was stopped before the last image.
         bad: Number and time [s] of each image that cannot be read.
         pictures: What was drawn.
-        map_file: Where the map was kept; None where it was not.
+        map_file: Where the map was written; None if it was not.
+        masks: The folder of the masks of dynamic pixels of each frame; None if none were written.
         doubts: What is probably wrong with calibration, depth or times; each was said in the log.
-        masks: The folder that the moving pixels of each frame were written into; None where they were not.
     """
 
     method: str
@@ -57,12 +57,12 @@ class RunOutcome:
 
     @property
     def n_tracked(self) -> int:
-        """Images that have a pose; those in sub-maps that were never joined have none in the trajectory."""
+        """Images that have a pose; those in sub-maps that were never merged have none in the trajectory."""
         return sum(result.T_world_cam is not None for result in self.system.results) - self.n_apart
 
     @property
     def n_apart(self) -> int:
-        """Images that were tracked in sub-maps that were never joined with the main one."""
+        """Images that were tracked in sub-maps that were never merged with the main one."""
         return len(self.system.apart())
 
 
@@ -72,10 +72,10 @@ class Source:
 
     Attributes:
         sequence: A folder, an archive, a known name, or `synthetic:…`.
-        camera: The calibration asked for, a name or a file; the sequence's own where not given.
-        fps: Frames per second [1/s] of a plain folder whose file names tell no times.
-        frames: Images to keep; all where not given.
-        drop: Images that do not exist for this run.
+        camera: The calibration to use, a name or a file; by default the sequence's own.
+        fps: Frames per second [1/s] of a plain folder whose file names have no times.
+        frames: Images to keep; all by default.
+        drop: Images to leave out.
         blackout: Images that arrive black, without depth.
         reverse: Whether what is left is played backwards.
     """
@@ -101,19 +101,19 @@ class Source:
 
 @dataclass(frozen=True)
 class RunOptions:
-    """What a run does beside tracking. None of it changes a pose, but `detector_off` and `segmenter`.
+    """What a run does in addition to tracking. Only `detector_off` and `segmenter` change poses.
 
     Attributes:
         root: Where a folder `<date>_<method>_<sequence>` is made; None to write nothing.
         folder: The folder to write into instead; it must be new or empty.
         pictures: How many frames are drawn, spread evenly; 0 for none, and no plots either.
         detector_off: Ranges of image numbers, first and one past the last, in which the detector finds nothing.
-        segmenter: Stands in for the config's; for a segmenter that was built already.
-        observe: Makes somebody who looks on, of the system that is run.
+        segmenter: Used instead of the config's, if it was built already.
+        observe: Makes an observer of the system that is run.
         source: Where the images come from; noted in config.toml.
-        asked: What else is to be noted there.
-        map: The map file to make, to go on in, or to track against.
-        masks: The folder into which the moving pixels of each frame are written; None for nowhere.
+        asked: Further entries to note there.
+        map: The map file to make, to extend, or to localize in.
+        masks: The folder into which the mask of dynamic pixels of each frame is written; None to write none.
     """
 
     root: Path | None = Path("results")

@@ -27,7 +27,7 @@ def draw_plots(
 
     Args:
         folder: Where to; it is made.
-        estimates: Trajectories by the name that the legend shows, the one that is judged first.
+        estimates: Trajectories by their name in the legend, the evaluated one first.
         groundtruth: The true poses; only the part that the first estimate covers is drawn.
         title: Shown above.
 

@@ -5,15 +5,15 @@ config.toml              the effective config; in `[run]`, which configures noth
 trajectory.tum           final poses: each frame on its reference keyframe's corrected pose
 trajectory_online.tum    poses as they were known when the frame was tracked
 keyframes.tum            keyframes of the map
-frames.csv               every image with its state: tracked, lost, or unreadable; the piece of map that its pose is
-                         in by now, and how it was found where the camera had been lost
-timing.csv               what each stage cost in each frame
+frames.csv               every image with its state: tracked, lost, or unreadable; the sub-map of its pose, and
+                         how it was relocalized where tracking had been lost
+timing.csv               time of each stage in each frame
 groundtruth.tum          true poses as the data set gives them, where it does
-groundtruth_camera.tum   the same moved to the camera, where the given ones are another body's
+groundtruth_camera.tum   the same moved to the camera, where the given ones are of another body
 metrics.json             the figures
 dense_cloud.npz          the dense map, where one is made; `stillroom export` makes other files of it
 cloud.ply                its points, for a viewer
-pictures/                trajectories, errors, maps, and frames with their verdicts
+pictures/                trajectories, errors, maps, and frames with static and dynamic features
 =======================  =========================================================================
 """
 
@@ -94,7 +94,7 @@ def chosen_folder(folder: Path) -> Path:
 
 
 def results_folder(path: Path) -> Path:
-    """Return the results folder that a path stands for, `latest` also where links do not exist.
+    """Return the results folder of a path, `latest` also where links are not supported.
 
     Raises:
         StillroomError: There is none.
@@ -120,7 +120,7 @@ def _unused(root: Path, stem: str) -> Path:
 
 
 def _point_latest_to(folder: Path) -> None:
-    """Move the link at once, so that it never points nowhere; a text file stands in where there are no links."""
+    """Replace the link atomically, so that it never dangles; a text file is used where links are not supported."""
     link, new = folder.parent / LATEST, folder.parent / f".{LATEST}-{os.getpid()}"
     try:
         new.unlink(missing_ok=True)
@@ -166,7 +166,7 @@ class Truth:
 
 @contextmanager
 def writing_to(folder: Path) -> Iterator[None]:
-    """Turn a full disk and the like into one line."""
+    """Turn an error such as a full disk into one line."""
     try:
         yield
     except OSError as error:
@@ -174,7 +174,7 @@ def writing_to(folder: Path) -> Iterator[None]:
 
 
 def write_config(folder: Path, dataset: Dataset, config: SlamConfig, options: RunOptions) -> None:
-    """Write the effective config and how the run comes about, before it begins."""
+    """Write the effective config and its provenance, before the run begins."""
     source = {} if options.source is None else {"source": asdict(options.source)}
     off = [f"{first}:{end}" for first, end in options.detector_off]
     how = {"name": dataset.name, "camera_source": dataset.camera_source, "detector_off": off, **options.asked}
@@ -183,7 +183,7 @@ def write_config(folder: Path, dataset: Dataset, config: SlamConfig, options: Ru
 
 
 def write_results(folder: Path, outcome: RunOutcome, truth: Truth | None) -> None:
-    """Write everything that a run came to; the trajectories first."""
+    """Write all results of a run; the trajectories first."""
     system = outcome.system
     with writing_to(folder):
         system.trajectory().write_tum(folder / FINAL)
@@ -218,7 +218,7 @@ def write_metrics(
 
 
 def read_run_figures(folder: Path) -> dict[str, Any] | None:
-    """Return what metrics.json says of the run itself, if it does."""
+    """Return the figures of the run itself in metrics.json, if present."""
     try:
         figures = json.loads((folder / METRICS).read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -228,7 +228,7 @@ def read_run_figures(folder: Path) -> dict[str, Any] | None:
 
 
 def count_frames(folder: Path) -> int | None:
-    """Return how many images a run was given, as far as its folder tells."""
+    """Return how many images a run was given, if its folder has that figure."""
     try:
         with (folder / FRAMES).open(encoding="utf-8", newline="") as file:
             return sum(1 for _ in csv.DictReader(file))

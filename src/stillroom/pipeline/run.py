@@ -40,7 +40,7 @@ LOADING = "loading"
 
 
 class StopRequest:
-    """Turns the first Ctrl-C of a block into a flag; the second interrupts at once; while held, none does.
+    """Turns the first Ctrl-C of a block into a flag; the second interrupts at once; while held, all are ignored.
 
     A frame that is begun is finished, so that map and trajectory are whole when they are written. Signals reach the
     main thread only: on another one this does nothing.
@@ -61,14 +61,14 @@ class StopRequest:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        """Give the signal back to whoever had it."""
+        """Restore the earlier signal handler."""
         if self._previous is not None:
             signal.signal(signal.SIGINT, self._previous)
         for teller in self._tellers:
             teller.join()
 
     def hold(self) -> None:
-        """From now on let no Ctrl-C interrupt: what was tracked is being written."""
+        """Ignore Ctrl-C from now on: results are being written."""
         self._is_held = True
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
@@ -85,32 +85,31 @@ class StopRequest:
     def _tell(self, text: str) -> None:
         """Warn from another thread.
 
-        A signal may come in the middle of a line that this thread is writing to where the warning goes, and a writer
-        must not be called again from within itself.
+        A signal may arrive while this thread is writing to the same stream, and writers are not reentrant.
         """
         teller = threading.Thread(target=log.warning, args=(text,))
         self._tellers.append(teller)
         teller.start()
 
 
-# Who is told how a run gets on, and what the log says of it.
+# Progress of a run, and its log.
 
 
 class RunProgress(Protocol):
-    """Is told of each frame, such as by a progress bar."""
+    """Receives the progress of a run, such as a progress bar."""
 
     def start(self, n_frames: int) -> None:
-        """Take note that so many frames will come."""
+        """Begin a run of `n_frames` frames."""
 
     def frame(self, result: FrameSummary | None) -> None:
-        """Take note of a frame; None is one that could not be read."""
+        """Report a frame; None is one that could not be read."""
 
     def finish(self) -> None:
-        """Take note that no frame will come any more."""
+        """End the run."""
 
 
 class Silent:
-    """Tells nobody."""
+    """Reports nothing."""
 
     def start(self, n_frames: int) -> None:
         """Do nothing."""
@@ -126,7 +125,7 @@ SILENT = Silent()
 
 
 class Remarks:
-    """Puts into the log what is odd about a run: one line when it begins, not one for every frame that it lasts."""
+    """Logs anomalies of a run: one line when an anomaly begins, not one for every frame."""
 
     def __init__(self) -> None:
         self._n_unreadable = 0
@@ -138,20 +137,20 @@ class Remarks:
         if self._n_unreadable <= MAX_UNREADABLE:
             log.warning("image %d is left out: %s", number, error)
         if self._n_unreadable == MAX_UNREADABLE:
-            log.warning("further images that cannot be read are left out without a word")
+            log.warning("further images that cannot be read are left out silently")
 
     def frame(self, image: RgbdImage, result: FrameSummary) -> None:
-        """Remark what is odd about an image, and where tracking is lost and found."""
+        """Log anomalies of an image, and where tracking is lost and resumes."""
         is_black = int(image.rgb.max()) < BLACK_BELOW
         self._begins("black", is_black, "image %d is black", image.index)
         no_depth = not is_black and not image.depth_m.any()
         self._begins("no depth", no_depth, "image %d has no depth anywhere", image.index)
-        # A black image says by itself why there is no pose.
+        # A black image explains the missing pose.
         was_lost = self._odd.get("lost", False)
         is_lost = result.state is TrackingState.LOST and (was_lost or not is_black)
         self._begins("lost", is_lost, "tracking is lost at image %d", image.index)
         if was_lost and not is_lost:
-            log.warning("tracking goes on at image %d", image.index)
+            log.warning("tracking resumes at image %d", image.index)
 
     def _begins(self, what: str, is_so: bool, message: str, number: int) -> None:
         if is_so and not self._odd.get(what, False):
@@ -162,15 +161,15 @@ class Remarks:
 def run(
     dataset: Dataset, config: SlamConfig, options: RunOptions | None = None, progress: RunProgress = SILENT
 ) -> RunOutcome:
-    """Track every image of a sequence, write the results, and measure them against the ground truth.
+    """Track every image of a sequence, write the results, and evaluate them against the ground truth.
 
-    Ctrl-C, or an error in the middle, ends it early; what there is by then is written all the same.
+    Ctrl-C, or an error in the middle, ends it early; the results so far are still written.
 
     Args:
         dataset: The sequence.
         config: The method.
-        options: What else is to be done.
-        progress: Who is told how it gets on.
+        options: What else to do.
+        progress: Receives the progress.
 
     Raises:
         StillroomError: Something that the run needs is wrong; a single image that cannot be read is not.
@@ -233,7 +232,7 @@ def _track_all(dataset: Dataset, slam: Slam, outcome: RunOutcome, stop: StopRequ
 def _concluded_in_any_case(
     outcome: RunOutcome, dataset: Dataset, stop: StopRequest, with_plots: bool
 ) -> Iterator[None]:
-    """Evaluate and write what there is when the block ends, however it ends; Ctrl-C is too late then to prevent it."""
+    """Evaluate and write the results when the block ends, however it ends; Ctrl-C is then ignored."""
     try:
         yield
         stop.hold()
@@ -281,7 +280,7 @@ def _recorder(folder: Path | None, dataset: Dataset, n_pictures: int) -> RunObse
     if folder is None or n_pictures <= 0:
         return NoObserver()
     numbers = dataset.numbers
-    # The middles of equal parts: neither the first frame, on which nothing is known yet, nor the last.
+    # The middles of equal parts: not the first frame, which has no earlier ones, nor the last.
     places = (np.arange(n_pictures) + 0.5) * len(numbers) / n_pictures
     chosen = tuple(int(number) for number in numbers[np.unique(places.astype(np.int64))])
     return PictureRecorderConfig(every=0, frames=chosen).build(folder / results.PICTURES)

@@ -2,8 +2,8 @@
 
 Differs from the paper: the masks are the PSPNet's of `pspnet-slam`, by class and not by instance. Mask R-CNN takes
 seconds an image on a CPU; any network in an ONNX file can be set instead (`semantics.kind = "onnx-masks"`). The
-geometry has numbers of our own; the paper's and its code's are `--set dynamics.kind=multiview-paper` and
-`multiview-code`. What moves is painted out by `stillroom inpaint --method dynaslam`.
+thresholds of the geometry are our own; the paper's and its code's are `--set dynamics.kind=multiview-paper` and
+`multiview-code`. What moves is inpainted by `stillroom inpaint --method dynaslam`.
 """
 
 from stillroom.config import SlamConfig
@@ -16,13 +16,13 @@ from stillroom.semantics.masks.regions import RegionsConfig
 from stillroom.tracking.low_cost import LowCostConfig
 
 DILATE_PX = 15
-"""How far DynaSLAM grows a mask (docs/reference.md#dynaslam: an ellipse of 31 pixels)."""
+"""How far DynaSLAM dilates a mask (docs/reference.md#dynaslam: an ellipse of 31 pixels)."""
 
 PAPER = "Bescos, Fácil, Civera and Neira, IEEE Robotics and Automation Letters 3(4), 2018"
 
 METHOD = Method(
     name="dynaslam",
-    summary="a network's masks, and multi-view geometry with region growing for what has come since",
+    summary="a network's masks, and multi-view geometry with region growing for other dynamic objects",
     config=SlamConfig(
         method="dynaslam",
         semantics=PspNetConfig(input="320x240", regions=RegionsConfig(dilate_px=DILATE_PX)),

@@ -1,4 +1,4 @@
-"""DynaSLAM N: the network alone; what it masks moves, all else does not."""
+"""DynaSLAM N: the network alone; what it masks is dynamic, all else is static."""
 
 from dataclasses import replace
 

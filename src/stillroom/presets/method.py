@@ -11,7 +11,7 @@ class Method:
 
     Attributes:
         name: As given to `--method`; also the `method` of its config.
-        summary: One line: who decides what is static, and how.
+        summary: One line: how dynamic features are rejected.
         config: The whole configuration.
         paper: Where the method was published.
     """

@@ -1,9 +1,9 @@
-"""OC-SLAM: YOLO-Fastest's boxes and the clusters of the depth cloud, and what of them moves.
+"""OC-SLAM: YOLO-Fastest's boxes and the clusters of the depth cloud, and which of them are dynamic.
 
-Differs from the paper: epipolar lines are taken from the tracked pose and helped by depth, what lies in a box counts as
-moving until shown to be static (`dynamics/epipolar_sieve.py`), and a cluster is judged by depth as well as by its
-matches, over more than one image (`dynamics/cluster_sieve.py`). The paper's literal rule is
-`--set dynamics.kind=paper-epipolar`; boxes without clusters are `--set clusters.kind=nothing`.
+Differs from the paper: epipolar lines are taken from the tracked pose and helped by depth, what lies in a box is
+dynamic until shown to be static (`dynamics/epipolar_sieve.py`), and a cluster is judged by depth as well as by its
+matches, over more than one image (`dynamics/cluster_sieve.py`). The paper's literal rule is `--set
+dynamics.kind=paper-epipolar`; boxes without clusters are `--set clusters.kind=nothing`.
 """
 
 from stillroom.config import SlamConfig
@@ -15,7 +15,7 @@ from stillroom.semantics.yolo_fastest import YoloFastestConfig
 
 METHOD = Method(
     name="oc-slam",
-    summary="YOLO-Fastest boxes and depth clusters; what leaves its epipolar line, or stands where it was empty, goes",
+    summary="YOLO-Fastest boxes and depth clusters; off its epipolar line, or in former free space: rejected",
     config=SlamConfig(
         method="oc-slam",
         semantics=YoloFastestConfig(),

@@ -1,4 +1,4 @@
-"""All methods by name: the house's own, and those that installed packages add.
+"""All methods by name: Stillroom's own, and those that installed packages add.
 
 A package adds a method by an entry point of the group `stillroom.methods` that names a `Method`::
 
@@ -35,7 +35,7 @@ DEFAULT = oc_slam.METHOD.name
 
 
 def all_methods() -> dict[str, Method]:
-    """Return every method by name, the house's own first.
+    """Return every method by name, Stillroom's own first.
 
     Raises:
         ConfigError: What an installed package offers cannot be imported, is no method, or has a name that is taken.
@@ -68,7 +68,7 @@ def configure(
         name: The method; where not given, the file's, else the default.
         file: A config file, whole or in part.
         overrides: `section.key=value`.
-        seed: Where every random choice starts.
+        seed: Seed of all random choices.
 
     Raises:
         ConfigError: A method, a key or a value is wrong, or the file is of another method than `name`.

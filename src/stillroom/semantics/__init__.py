@@ -1,1 +1,1 @@
-"""Who may move: boxes and masks of people and other things with a will of their own."""
+"""Segmenters: boxes and masks of what is potentially dynamic, such as people."""

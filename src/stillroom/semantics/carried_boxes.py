@@ -1,7 +1,7 @@
-"""Carry boxes on over the frames in which the detector misses them.
+"""Propagate boxes over the frames in which the detector misses them.
 
 A person at the edge of the image, half hidden or blurred is missed for some frames; features on a missed person are
-taken for static, which decides results: CFP-SLAM without such compensation is five times worse
+taken for static, which dominates the error: CFP-SLAM without such compensation is five times worse
 (docs/reference.md#cfp-slam).
 """
 
@@ -26,13 +26,13 @@ CORNER_QUALITY = 0.01
 CORNER_DISTANCE_PX = 4  # in the halved image, in which flow is measured
 FLOW = OpticalFlow(window_px=15, levels=2)
 MARGIN_PX = 48  # around the box, so that flow may leave it; more than a person walks in a frame
-CENTRAL_SHARE = 0.5  # the middle of a box, where its depth is read
-CENTRAL_QUANTILE = 0.35  # what stands in a box stands before its background
-DEPTH_STEP_PX = 4  # every fourth pixel tells how much of a box is at a depth
+CENTRAL_SHARE = 0.5  # central part of a box, in which its depth is measured
+CENTRAL_QUANTILE = 0.35  # an object in a box is nearer than its background
+DEPTH_STEP_PX = 4  # stride of the pixels that count for the support of a depth
 ENTRY_SHARE = 0.025  # of the image's width: a box that comes so near to the border touches it
 
 
-# Follow a box from one image to the next without a detector: by the flow of what lies in it, at its depth.
+# Track a box from one image to the next without a detector: by the optical flow in it, at its depth.
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class FollowedBox:
 
     Attributes:
         edges: x_min y_min x_max y_max (4,) [px]; may reach beyond the image.
-        depth_m: Depth of the thing in the box [m]; 0 where unknown.
+        depth_m: Depth of the object in the box [m]; 0 where unknown.
         support: Share of the box at that depth when it was last detected.
     """
 
@@ -52,7 +52,7 @@ class FollowedBox:
 
 @dataclass(frozen=True)
 class Follower:
-    """How a box is followed.
+    """How a box is tracked.
 
     Attributes:
         depth_range_m: What lies in a box belongs to it when it is this near to the box's depth [m].
@@ -65,20 +65,20 @@ class Follower:
     min_support: float
 
     def begin(self, image: RgbdImage, edges: F64) -> FollowedBox:
-        """Look at a box in an image in which it was detected."""
+        """Start tracking a box in an image in which it was detected."""
         depth_m = _central_depth(image, edges)
         inside = image.depth_m[_pixels(edges, image)][::DEPTH_STEP_PX, ::DEPTH_STEP_PX]
         support = float(np.mean(self._near(inside, depth_m))) if inside.size and depth_m else 0.0
         return FollowedBox(edges, depth_m, support)
 
     def follow(self, before: RgbdImage, now: RgbdImage, box: FollowedBox, drift_px: F64) -> FollowedBox | None:
-        """Return where a box of the image before is now; None where nothing speaks for its still being there.
+        """Return the box of the image before in this one; None where it is lost.
 
         Args:
             before: The image in which the box is known.
             now: A later image of the same size.
             box: The box in the image before.
-            drift_px: How far it is expected to have moved (2,) [px]; serves where there is nothing to follow.
+            drift_px: Predicted motion (2,) [px]; used where there is no flow.
         """
         flow_px = self._flow(before, now, box)
         edges = box.edges + np.tile(drift_px if flow_px is None else flow_px, 2)
@@ -86,7 +86,7 @@ class Follower:
             return None if flow_px is None else FollowedBox(edges, 0.0, 0.0)
         inside = now.depth_m[_pixels(edges, now)][::DEPTH_STEP_PX, ::DEPTH_STEP_PX]
         near = self._near(inside, box.depth_m)
-        # What stands before it hides it, and moved to get there: only a view of what lies behind says that it left.
+        # Something nearer occludes it, and is dynamic too: only a view of the background shows that it left.
         hidden = (inside > 0.0) & (inside < box.depth_m)
         if inside.size == 0 or np.mean(near | hidden) < self.min_support * box.support:
             return None
@@ -111,7 +111,7 @@ class Follower:
         return np.asarray(2.0 * np.median((end - start)[good], axis=0), dtype=np.float64)
 
     def _mask(self, image: RgbdImage, box: FollowedBox, around: tuple[slice, slice]) -> U8:
-        """Return where in the halved surroundings of a box the thing in it is, as cv2 wants it."""
+        """Return where in the halved surroundings of a box the object in it is, as cv2 takes it."""
         inside = _pixels(box.edges, image)
         mask = np.zeros((image.height, image.width), dtype=np.uint8)
         mask[inside] = self._near(image.depth_m[inside], box.depth_m) if box.depth_m else 1
@@ -130,7 +130,7 @@ class Follower:
 
 
 def _central_depth(image: RgbdImage, edges: F64) -> float:
-    """Return the depth of what stands in the middle of a box [m]; 0 where none is known."""
+    """Return the depth of the object in the middle of a box [m]; 0 where unknown."""
     center, half = 0.5 * (edges[:2] + edges[2:]), 0.5 * CENTRAL_SHARE * (edges[2:] - edges[:2])
     middle = image.depth_m[_pixels(np.concatenate([center - half, center + half]), image)]
     known = middle[middle > 0.0]
@@ -160,21 +160,21 @@ def _half(gray: U8) -> U8:
 
 @dataclass(frozen=True)
 class CarryConfig:
-    """How boxes are carried on.
+    """How boxes are propagated.
 
     Attributes:
-        enabled: Whether at all; without it each image stands alone.
-        max_carried: For how many frames a box outlives its last detection.
-        continue_confidence: A box once found at the detector's full confidence goes on with this one.
-        enter_confidence: From here on a box is believed at once where it touches the left or right border.
+        enabled: Whether boxes are propagated; if not, each image is independent.
+        max_carried: Largest number of frames over which a box is propagated.
+        continue_confidence: Confidence of a detection that continues a track; the detector's full one starts it.
+        enter_confidence: Confidence that starts a track where a box touches the left or right border.
         min_iou: Least overlap of a detection with the box that it continues.
         velocity_weight: Share of the newest step in the velocity of a box.
-        depth_range_m: Half the depth that a thing in a box takes up [m].
-        min_points: Fewest corners whose flow moves a box; with fewer its velocity does.
-        min_support: A carried box is dropped when less than this share of its pixels at its depth is left.
-        min_visible: A carried box is dropped when less than this share of it lies in the image.
-        max_covered: A carried box is dropped when it overlaps a detected one by more than this (IoU).
-        grow: By what share of its width every box is grown on each side; boxes cut off arms, heads and feet.
+        depth_range_m: Half the depth extent of an object in a box [m].
+        min_points: Fewest corners whose flow moves a box; with fewer its velocity is used.
+        min_support: A propagated box is dropped when less than this share of its pixels at its depth is left.
+        min_visible: A propagated box is dropped when less than this share of it lies in the image.
+        max_covered: A propagated box is dropped when it overlaps a detected one by more than this (IoU).
+        grow: Share of its width by which every box is enlarged on each side; boxes cut off arms, heads and feet.
     """
 
     enabled: bool = True
@@ -191,7 +191,7 @@ class CarryConfig:
     grow: float = bounded(0.0, least=0)
 
     def lowest(self, confidence: float) -> float:
-        """Return the confidence from which the detector must report boxes, for a box to be believed at another."""
+        """Return the lowest confidence that the detector must report, given the one that starts a track."""
         return min(confidence, self.continue_confidence, self.enter_confidence)
 
 
@@ -208,17 +208,17 @@ class _Track:
     followed: FollowedBox | None = None
 
     def predicted(self, frames: int) -> F64:
-        """Return the box so many frames later (4,) [px]."""
+        """Return the predicted box `frames` frames later (4,) [px]."""
         return self.edges + np.tile(self.velocity_px * frames, 2)
 
     def move(self, edges: F64, frames: int, weight: float) -> None:
-        """Put the box where it is so many frames later, and learn its velocity."""
+        """Update the box `frames` frames later, and its velocity."""
         step_px = 0.5 * (edges[:2] + edges[2:] - self.edges[:2] - self.edges[2:]) / frames
         self.velocity_px = weight * step_px + (1.0 - weight) * self.velocity_px
         self.edges = edges
 
     def as_box(self, width: int, height: int, grow: float = 0.0) -> Box:
-        """Return the part of it, grown on each side by a share of its width, that lies in the image."""
+        """Return the part in the image, enlarged on each side by a share of its width."""
         more_px = grow * (self.edges[2] - self.edges[0])
         x0, y0 = np.clip(self.edges[:2] - more_px, 0.0, (width - 1, height - 1)).tolist()
         x1, y1 = np.clip(self.edges[2:] + more_px, 0.0, (width - 1, height - 1)).tolist()
@@ -226,16 +226,16 @@ class _Track:
 
 
 class CarriedBoxes:
-    """A detector with a memory: every box has an identity, and outlives its last detection for a while."""
+    """A tracking detector: every box has an identity, and is propagated for a while after its last detection."""
 
     def __init__(self, detector: Detector, confidence: float, config: CarryConfig, named: Collection[str] = ()) -> None:
         """Take boxes from a detector that reports them from `config.lowest(confidence)` on.
 
         Args:
             detector: Finds boxes in one image.
-            confidence: From here on a box is believed at once.
-            config: How boxes are carried on.
-            named: The detector's classes that stand still unless somebody moves them.
+            confidence: Confidence that starts a track.
+            config: How boxes are propagated.
+            named: The detector's classes that are static unless people move them.
         """
         check(config, "carry")
         self.detector = detector
@@ -249,7 +249,7 @@ class CarriedBoxes:
         self._before: RgbdImage | None = None
 
     def __call__(self, image: RgbdImage) -> Semantics:
-        """Return the boxes of this image, and those that are believed to be there still."""
+        """Return the boxes of this image, detected and propagated."""
         found = self.detector.detect(image)
         strong = [box for box in found if self._is_strong(box, image.width)]
         weak = [box for box in found if box not in strong and box.confidence >= self._config.continue_confidence]
@@ -269,13 +269,13 @@ class CarriedBoxes:
         return CarriedBoxes(detector, self._confidence, self._config, self._named)
 
     def _is_strong(self, box: Box, width: int) -> bool:
-        """Return whether a box is believed at once. People half outside the image look like less than people."""
+        """Return whether a box starts a track. People half outside the image have lower confidence."""
         margin_px = ENTRY_SHARE * width
         entering = box.x_min_px <= margin_px or box.x_max_px >= width - 1 - margin_px
         return box.confidence >= (self._enter_confidence if entering else self._confidence)
 
     def _frames_since(self, image: RgbdImage) -> int:
-        """Return how many frames after the last image this one is; forget all boxes if it does not follow it."""
+        """Return how many frames after the last image this one is; drop all boxes if it is not a later one."""
         before = self._before
         if before is None:
             return 1
@@ -310,7 +310,7 @@ class CarriedBoxes:
         return _Track(self._next_id - 1, np.array(box.xyxy_px), box.label, box.confidence)
 
     def _carry(self, track: _Track, image: RgbdImage, frames: int) -> bool:
-        """Move a missed box to this image; tell whether it is still believed."""
+        """Propagate a missed box to this image; return whether it is kept."""
         before = self._before
         track.carried += frames
         if before is None or track.carried > self._config.max_carried:
@@ -325,11 +325,11 @@ class CarriedBoxes:
         return visible >= max(self._config.min_visible * float(full_px), 1.0)
 
     def _uncovered(self, carried: list[_Track], seen: list[_Track]) -> list[_Track]:
-        """Drop carried boxes that stand where a detected one does: it is the same thing, found again."""
+        """Drop propagated boxes that overlap a detected one: it is the same object, detected again."""
         if not carried or not seen:
             return carried
         iou = overlap(np.array([track.edges for track in carried]), np.array([track.edges for track in seen]))
-        # A chair that is found does not mean that nobody sits on it any more.
+        # A detected chair does not mean that nobody sits on it any more.
         is_named = [np.array([track.label in self._named for track in tracks]) for tracks in (carried, seen)]
         iou[is_named[0][:, None] != is_named[1][None, :]] = 0.0
         return [track for track, most in zip(carried, iou.max(axis=1), strict=True) if most <= self._config.max_covered]

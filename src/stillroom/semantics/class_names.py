@@ -1,4 +1,4 @@
-"""What networks call their classes."""
+"""Class names of networks."""
 
 from collections.abc import Sequence
 from difflib import get_close_matches
@@ -10,7 +10,7 @@ VOC_CLASSES = (
     "background", "aeroplane", "bicycle", "bird", "boat", "bottle", "bus", "car", "cat", "chair", "cow",
     "diningtable", "dog", "horse", "motorbike", "person", "pottedplant", "sheep", "sofa", "train", "tvmonitor",
 )  # fmt: skip
-"""The 21 classes of PASCAL VOC 2012 in the order in which networks tell them."""
+"""The 21 classes of PASCAL VOC 2012 in the order of the networks' channels."""
 
 COCO_CLASSES = (
     "person", "bicycle", "car", "motorcycle", "airplane", "bus", "train", "truck", "boat", "traffic light",
@@ -22,7 +22,7 @@ COCO_CLASSES = (
     "tv", "laptop", "mouse", "remote", "keyboard", "cell phone", "microwave", "oven", "toaster", "sink",
     "refrigerator", "book", "clock", "vase", "scissors", "teddy bear", "hair drier", "toothbrush",
 )  # fmt: skip
-"""The 80 classes of COCO in the order in which YOLO networks tell them."""
+"""The 80 classes of COCO in the order of YOLO networks' channels."""
 
 
 def read_class_names(path: Path) -> tuple[str, ...]:
@@ -44,7 +44,7 @@ def channels_of(movable: Sequence[str], classes: Sequence[str]) -> list[int]:
     """Return the channels of some classes.
 
     Args:
-        movable: Names of the classes that are wanted.
+        movable: Names of the wanted classes.
         classes: Names of all channels, in order.
 
     Raises:

@@ -1,7 +1,7 @@
-"""What the depth cloud of an image falls into (OC-SLAM 2.3–2.5): planes, and clusters of the rest, helped by boxes.
+"""Segmentation of an image's depth cloud (OC-SLAM 2.3–2.5): planes, and clusters of the rest, helped by boxes.
 
-Plain Euclidean clustering fuses a person with the table he leans on (the paper's Figure 7). Here the foreground of
-each box is clustered apart from all else, so that furniture beyond the box does not join.
+Plain Euclidean clustering fuses a person with the table he leans on (the paper's Figure 7). Here the foreground of each
+box is clustered separately, so that furniture beyond the box is not included.
 """
 
 from dataclasses import dataclass, field, replace
@@ -28,7 +28,7 @@ from stillroom.protocols import Parts, Pending
 
 @dataclass(frozen=True)
 class NoClustersConfig:
-    """There is nothing to choose."""
+    """No settings."""
 
     def build(self, parts: Parts | None = None) -> "NoClusters":
         """Return the clusterer."""
@@ -36,7 +36,7 @@ class NoClustersConfig:
 
 
 class NoClusters:
-    """Does not look at the depth cloud."""
+    """The null object: no clusters."""
 
     def __call__(self, image: RgbdImage, semantics: Pending[Semantics]) -> Semantics:
         """Return the semantics as they are."""
@@ -45,15 +45,16 @@ class NoClusters:
 
 @dataclass(frozen=True)
 class DepthClustersConfig:
-    """How the depth cloud of an image is taken apart.
+    """How the depth cloud of an image is clustered.
 
     Attributes:
-        stride: Every so many-th pixel of a row and column becomes a point [px].
-        min_depth_m, max_depth_m: Range of depths that are looked at [m].
-        box_half_depth_m: Half the depth that a thing in a box takes up [m].
+        stride: Stride in rows and columns of the pixels that become points [px].
+        min_depth_m, max_depth_m: Range of depths that are used [m].
+        box_half_depth_m: Half the depth extent of an object in a box [m].
         box_min_share: A box helps only where its foreground fills this share of it.
-        leave_out_masked: What a mask covers belongs to no cluster, where there is a mask: what is carried does not fuse
-            with who carries it. The boxes that help are then those of named things; those of the mask's are not needed.
+        leave_out_masked: What a mask covers belongs to no cluster, where there is a mask: a carried object is not
+            merged with its carrier. The boxes that help are then those of named objects; those of the mask are not
+            needed.
         planes: What counts as a plane.
         segments: How the rest becomes clusters.
     """
@@ -83,10 +84,10 @@ class DepthClustersConfig:
 
 
 class DepthClusterer:
-    """Adds clusters to what is known of an image."""
+    """Adds clusters to the semantics of an image."""
 
     def __init__(self, config: DepthClustersConfig, camera: Camera) -> None:
-        """Take the camera; its rays are found at the first image."""
+        """Take the camera; its rays are computed at the first image."""
         self.config = config
         self._camera = camera
         self._grid: tuple[int, int, RayGrid] | None = None

@@ -1,4 +1,4 @@
-"""Detectors: boxes in one image, without memory; and the plainest segmenter made of one."""
+"""Detectors: boxes in one image, without memory; and the simplest segmenter made of one."""
 
 from collections.abc import Collection, Sequence
 from typing import Protocol, runtime_checkable
@@ -17,7 +17,7 @@ class Detector(Protocol):
     """Finds boxes in one image. Keeps no state over time: `CarriedBoxes` does."""
 
     def detect(self, image: RgbdImage) -> tuple[Box, ...]:
-        """Return the boxes of movable things, and of named ones, the most confident first."""
+        """Return the boxes of potentially dynamic objects, and of named ones, the most confident first."""
 
 
 @runtime_checkable
@@ -31,10 +31,10 @@ class HasDetector(Protocol):
 
 
 class EachFrameAlone:
-    """Reports what the detector finds in each image, and nothing else."""
+    """Returns the detector's boxes of each image, without propagation."""
 
     def __init__(self, detector: Detector, named: Collection[str] = ()) -> None:
-        """Take a detector, and the classes among its own that stand still unless somebody moves them."""
+        """Take a detector, and the classes among its own that are static unless people move them."""
         self.detector = detector
         self._named = named
 
@@ -48,20 +48,20 @@ class EachFrameAlone:
 
 
 def of_boxes(image: RgbdImage, boxes: Sequence[Box], named: Collection[str]) -> Semantics:
-    """Return boxes as semantics of an image; those of named classes stand apart."""
+    """Return boxes as semantics of an image; those of named classes separately."""
     movable = tuple(box for box in boxes if box.label not in named)
     still = tuple(box for box in boxes if box.label in named)
     return Semantics(image.height, image.width, movable, named=still)
 
 
-# Withhold a detector's answer for stretches of frames, to see what becomes of tracking without it.
+# Disable a detector for ranges of frames, to test tracking without it.
 
 
 def withhold(segmenter: Segmenter, ranges: Sequence[FrameRange]) -> Segmenter:
     """Return a segmenter whose detector finds nothing in the images of some ranges.
 
-    The detector is silenced, not what stands behind it: boxes are still carried on. A segmenter without a detector
-    says in those images that nothing may move.
+    Only the detector is disabled: boxes are still propagated. A segmenter without a detector returns nothing
+        potentially dynamic in those images.
 
     Args:
         segmenter: A fresh segmenter; not used any more afterwards.
@@ -85,14 +85,14 @@ class WithheldDetector:
 
 
 class WithheldSegmenter:
-    """A segmenter that says nothing in the images of some ranges."""
+    """A segmenter that finds nothing in the images of some ranges."""
 
     def __init__(self, segmenter: Segmenter, ranges: Sequence[FrameRange]) -> None:
         self._segmenter = segmenter
         self._ranges = tuple(ranges)
 
     def __call__(self, image: RgbdImage) -> Semantics:
-        """Return the segmenter's answer, or that nothing may move."""
+        """Return the segmenter's result, or empty semantics."""
         if _within(image, self._ranges):
             return nothing(image.height, image.width)
         return self._segmenter(image)

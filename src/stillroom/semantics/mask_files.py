@@ -27,7 +27,7 @@ logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class MaskFilesConfig:
-    """Where masks lie and how they are read.
+    """Where masks are stored and how they are read.
 
     A file belongs to a frame by its name: that of the colour image, whatever it is; else `1548339819.87426.png` (a
     number with a point) by the colour image's timestamp in seconds, and `000012.png` or `mask_12.png` (no point) by the
@@ -35,12 +35,13 @@ class MaskFilesConfig:
 
     Attributes:
         folder: The folder with the masks.
-        movable_values: Pixel values that mean "may move"; empty is any but 0.
-        dilate_px: By how much masks are grown [px].
-        missing: What a frame without a readable mask means: "nothing" in it may move (with one warning), or "error".
+        movable_values: Pixel values of potentially dynamic pixels; empty is any but 0.
+        dilate_px: Dilation of the masks [px].
+        missing: Meaning of a frame without a readable mask: "nothing" in it is potentially dynamic (with one warning),
+            or "error".
         boxes: Whether each connected region becomes a box, too.
         min_box_px: Smallest region that becomes a box [px²].
-        instances: Whether the files tell objects apart: each value but 0, of 8 or 16 bits, or each colour but black
+        instances: Whether the files separate objects: each value but 0, of 8 or 16 bits, or each colour but black
             (a palette's too), is one object, which becomes an instance, with a box of its own instead of its regions'.
             Values need not name the same object in the next frame.
     """
@@ -105,7 +106,7 @@ class MaskFiles:
         return replace(known, boxes=_boxes(known.objects, self._config.min_box_px)) if self._config.boxes else known
 
     def _instances(self, numbers: Ints) -> tuple[Instance, ...]:
-        """Return the object of each number but 0 in an image of numbers (H, W), grown."""
+        """Return the object of each number but 0 in an image of numbers (H, W), dilated."""
         found = []
         for number in np.unique(numbers[numbers > 0]).tolist():
             own = grown(np.asarray(numbers == number), self._config.dilate_px, Shape.ELLIPSE)
@@ -125,12 +126,12 @@ class MaskFiles:
         if self._config.missing == "error":
             raise DatasetError(f"{problem}; add it, or set missing to 'nothing'")
         if not self._warned:
-            logger.warning("%s: taken as 'nothing may move', here and wherever a mask is missing", problem)
+            logger.warning("%s: nothing is taken as potentially dynamic, here and wherever a mask is missing", problem)
             self._warned = True
         return nothing(image.height, image.width)
 
     def _movable(self, pixels: U8, path: Path) -> U8:
-        """Return 1 where the mask (H, W) or (H, W, channels) says that something may move."""
+        """Return 1 where the mask (H, W) or (H, W, channels) marks something potentially dynamic."""
         colors = pixels[..., :3] if pixels.ndim == 3 else pixels[..., None]  # a fourth channel is opacity
         if not self._config.movable_values:
             return np.asarray(np.any(colors != 0, axis=2), dtype=np.uint8)

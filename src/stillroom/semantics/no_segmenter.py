@@ -1,4 +1,4 @@
-"""The segmenter of a still world: nothing may move (ORB-SLAM2)."""
+"""The segmenter of a static world: nothing is potentially dynamic (ORB-SLAM2)."""
 
 from dataclasses import dataclass
 
@@ -9,7 +9,7 @@ from stillroom.protocols import Parts, Segmenter
 
 @dataclass(frozen=True)
 class NothingConfig:
-    """There is nothing to choose."""
+    """No settings."""
 
     def build(self, parts: Parts | None = None) -> Segmenter:
         """Return the segmenter."""
@@ -17,7 +17,7 @@ class NothingConfig:
 
 
 class NoSegmenter:
-    """Says of every image that nothing in it may move."""
+    """The null object: nothing in any image is potentially dynamic."""
 
     def __call__(self, image: RgbdImage) -> Semantics:
         """Return empty semantics of the image's size."""

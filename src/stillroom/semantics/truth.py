@@ -1,4 +1,4 @@
-"""What a renderer knows of its own images: a perfect detector, for synthetic sequences."""
+"""The ground truth of rendered images as a segmenter: a perfect detector, for synthetic sequences."""
 
 from dataclasses import dataclass, field
 
@@ -12,11 +12,11 @@ from stillroom.semantics.detector import EachFrameAlone
 
 @dataclass(frozen=True)
 class TrueSemanticsConfig:
-    """Which part of the truth is told.
+    """Which part of the truth is returned.
 
     Attributes:
         masks: Give masks, instances and boxes; else boxes only, as a detector would.
-        carry: How boxes are carried on where they are withheld; off, because the renderer misses none.
+        carry: How boxes are propagated where they are withheld; off, because the renderer misses none.
     """
 
     masks: bool = False
@@ -31,7 +31,7 @@ class TrueSemanticsConfig:
 
 
 class TrueMasks:
-    """Repeats everything that the renderer knows."""
+    """Returns the whole ground truth of the renderer."""
 
     def __call__(self, image: RgbdImage) -> Semantics:
         """Return the truth of the image.
@@ -43,7 +43,7 @@ class TrueMasks:
 
 
 class TrueBoxes:
-    """A detector that repeats the renderer's boxes."""
+    """A detector that returns the renderer's boxes."""
 
     def detect(self, image: RgbdImage) -> tuple[Box, ...]:
         """Return the boxes of the image.
@@ -57,7 +57,7 @@ class TrueBoxes:
 def _truth(image: RgbdImage) -> Semantics:
     if image.truth is None:
         raise ConfigError(
-            f"image {image.index} carries no truth: the truth segmenter works on rendered sequences only; "
+            f"image {image.index} has no ground truth: the truth segmenter works on rendered sequences only; "
             "choose a detector or a folder of masks"
         )
     return image.truth

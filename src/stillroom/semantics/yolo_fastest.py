@@ -1,4 +1,4 @@
-"""YOLO-Fastest 1.1 and 1.1-xl: boxes of what may move (OC-SLAM 2.1). The networks come with Stillroom."""
+"""YOLO-Fastest 1.1 and 1.1-xl: boxes of what is potentially dynamic (OC-SLAM 2.1). The networks come with Stillroom."""
 
 from dataclasses import dataclass, field
 from importlib.resources import as_file, files
@@ -19,16 +19,16 @@ SHIPPED = {"1.1": "yolo_fastest_1.1_coco.onnx", "1.1-xl": "yolo_fastest_1.1_xl_c
 
 @dataclass(frozen=True)
 class YoloFastestConfig:
-    """What YOLO-Fastest looks for.
+    """The YOLO-Fastest detector.
 
     Attributes:
         variant: "1.1", or the larger "1.1-xl".
         confidence: Objectness × class probability from which a box counts (OC-SLAM 2.1: 80 of 100).
         nms_iou: Highest overlap that two boxes of one class may have; of more, the best is kept.
-        movable: Names of the classes that may move; the others are not reported.
-        model: Another network, a file of `stillroom export yolo`; a bare name is sought in the models' usual places.
+        movable: Names of the potentially dynamic classes; the others are not reported.
+        model: Another network, a file of `stillroom export yolo`; a bare name is looked up in the model folders.
             Empty is the variant that comes with Stillroom.
-        carry: How boxes are carried on over the frames in which they are missed.
+        carry: How boxes are propagated over the frames in which they are missed.
     """
 
     variant: str = bounded("1.1", one_of=tuple(SHIPPED))

@@ -18,12 +18,12 @@ class Changes:
     """Finds and writes the changes of a map.
 
     The map marks points and keyframes whose links changed (`is_unsaved`); poses, which are few, are compared. Counts of
-    how often a point was looked for and found change with every frame and are marked by nothing: they are written
-    along with a point's other changes.
+    how often a point was visible and found change with every frame and are not marked: they are written along with a
+        point's other changes.
     """
 
     def __init__(self, world: Map) -> None:
-        """Take everything as not written yet."""
+        """Start with nothing written."""
         self._world = world
         self._known = _Poses.of(world, 0)
         self._loops: list[tuple[int, int]] = []
@@ -32,7 +32,7 @@ class Changes:
         world.covisibility.unsaved.update(range(len(world.keyframes)))
 
     def forget(self) -> None:
-        """Take everything as written."""
+        """Mark everything as written."""
         world = self._world
         self._known = _Poses.of(world, len(world.keyframes))
         self._loops = list(world.loop_edges)
@@ -41,7 +41,7 @@ class Changes:
         world.covisibility.unsaved.clear()
 
     def expect_all(self) -> None:
-        """Take all points as changed."""
+        """Mark all points as changed."""
         self._world.points.is_unsaved[:] = True
 
     def write(self, database: sqlite3.Connection) -> None:
@@ -64,7 +64,7 @@ class Changes:
             " WHERE keyframe = ?"
         )
         database.executemany(update, [(*present.row(k), k) for k in present.differing(self._known)])
-        # Of a culled keyframe only its place is kept; a loop that is undone may bring it back.
+        # Of a culled keyframe only its pose is kept; a loop that is undone may bring it back.
         was_alive = np.append(self._known.is_alive, np.zeros(len(present) - n_known, dtype=np.bool_))
         culled = np.flatnonzero(was_alive & ~present.is_alive)
         database.executemany("DELETE FROM keypoints WHERE keyframe = ?", [(int(k),) for k in culled])

@@ -1,4 +1,4 @@
-"""Whether a map is whole: everything that is referred to exists, and every number makes sense."""
+"""Integrity of a map: every reference exists, and every number is valid."""
 
 from collections.abc import Iterator
 
@@ -32,7 +32,7 @@ def _problems_of_keyframes(world: Map) -> Iterator[str]:
 
 
 def _hanging_nowhere(world: Map) -> I64:
-    """Return the culled keyframes from which no way up leads to a living one."""
+    """Return the culled keyframes without an ancestor that is alive."""
     table = world.keyframes
     now = np.arange(len(table))
     for _ in range(len(table) + 1):

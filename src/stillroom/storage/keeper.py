@@ -1,4 +1,4 @@
-"""Keeping the map of a run on disk."""
+"""Writing the map of a run to disk while it grows."""
 
 from collections import deque
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from stillroom.storage.writer import MapWriter
 
 @dataclass(frozen=True)
 class MapKeeperConfig:
-    """What a map file keeps beside the map.
+    """What a map file keeps in addition to the map.
 
     Attributes:
         images: Whether depth and colours of keyframes are kept, for dense maps made later; about 0.3 MB a keyframe.
@@ -24,7 +24,7 @@ class MapKeeperConfig:
     images: bool = False
 
     def build(self, parts: Parts, writer: MapWriter, session: int) -> "MapKeeper":
-        """Return what keeps the map of a session, the one of this number."""
+        """Return the keeper of a session's map, by the session's number."""
         return MapKeeper(self, writer, session, parts.camera)
 
 
@@ -43,7 +43,7 @@ class MapKeeper:
         Args:
             keyframe: Its id.
             image: Its image.
-            moving: Pixels that move (H, W).
+            moving: Dynamic pixels (H, W).
 
         Raises:
             MapError: The disk is full, or the like.
@@ -53,7 +53,7 @@ class MapKeeper:
         self._writer.commit(self._taken_frames(), pictures)
 
     def note(self, result: FrameSummary) -> None:
-        """Remember where a frame was, until it is written."""
+        """Store the pose of a frame, until it is written."""
         frame = FrameNote.of(result, self._session)
         if frame is not None:
             self._frames.append(frame)
@@ -67,12 +67,12 @@ class MapKeeper:
         self._writer.close(self._taken_frames())
 
     def _taken_frames(self) -> list[FrameNote]:
-        """Return the frames noted so far, once; more may be noted on another thread meanwhile."""
+        """Return the frames stored so far, once; another thread may add more meanwhile."""
         return [self._frames.popleft() for _ in range(len(self._frames))]
 
 
 class NoKeeper:
-    """Keeps nothing, so that no caller asks whether there is a file."""
+    """The null object: writes nothing, so that no caller has to check whether there is a file."""
 
     def keep(self, keyframe: int, image: RgbdImage, moving: Bool) -> None:
         """Do nothing."""

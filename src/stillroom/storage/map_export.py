@@ -75,7 +75,7 @@ def _session(stored: StoredMap, keyframe: int) -> int:
 
 
 def _image_lines(world: Map, keyframe: int, session: int) -> str:
-    """Return the two lines of an image: where it was taken from, and what it sees."""
+    """Return the two lines of an image: its pose, and its observations."""
     T_cam_world = se3.inverse(world.keyframes.T_world_cam[keyframe])
     x, y, z, w = se3.to_quaternions_xyzw(T_cam_world[None])[0]
     pose = " ".join(f"{value:.12g}" for value in (w, x, y, z, *T_cam_world[:3, 3]))
@@ -88,7 +88,7 @@ def _image_lines(world: Map, keyframe: int, session: int) -> str:
 
 
 def _point_lines(world: Map, camera: Camera, points: I64, colours: U8) -> str:
-    """Return a line for each point: where it is, its colour, its mean error [px], and who sees it."""
+    """Return a line for each point: position, colour, mean error [px], and its observations."""
     place, rows = world.observations(points)
     keyframes = world.keypoints.keyframe[rows]
     places_px = rows - world.keyframes.first_row[keyframes]
@@ -115,13 +115,13 @@ def _errors_px(world: Map, camera: Camera, points: I64, rows: np.ndarray) -> F64
     return errors
 
 
-# The trajectories of a map: what its sessions tracked, as the map now says it was.
+# The trajectories of a map: the frames of its sessions, at the poses of the current map.
 
 
 def trajectories(stored: StoredMap) -> list[Trajectory]:
-    """Return the trajectory of each session: each frame on its reference keyframe, wherever that is now.
+    """Return the trajectory of each session: each frame relative to its reference keyframe's current pose.
 
-    What hangs on a sub-map that was not joined to the main one is left out.
+    Frames in a sub-map that was not merged with the main one are left out.
     """
     world, found = stored.world, []
     main = submaps.main(world)
@@ -135,7 +135,7 @@ def trajectories(stored: StoredMap) -> list[Trajectory]:
 
 
 def keyframe_trajectories(stored: StoredMap) -> list[Trajectory]:
-    """Return the poses of the keyframes that each session made, of those that the main sub-map has still."""
+    """Return the poses of the keyframes of each session that are alive in the main sub-map."""
     world = stored.world
     alive = world.alive_keyframes()
     alive = alive[world.keyframes.submap[alive] == submaps.main(world)]

@@ -1,4 +1,4 @@
-"""Opening a map file, and saying in one line what is wrong with it; a file that is refused is not touched."""
+"""Opening a map file, with errors in one line; a file that is refused is not modified."""
 
 import os
 import sqlite3
@@ -13,7 +13,7 @@ from stillroom.storage.schema import APPLICATION_ID, TABLES, VERSION
 SUFFIX = ".stillmap"
 PAGE_BYTES = 8192
 LOG_BYTES = 32 << 20
-"""The write-ahead log is folded into the file when it has grown to this: each time costs a wait for the disk."""
+"""The write-ahead log is folded into the file when it has grown to this: each time waits for the disk."""
 
 _HEADER_BYTES = 100
 _MAGIC = b"SQLite format 3\x00"
@@ -21,12 +21,12 @@ _MAGIC = b"SQLite format 3\x00"
 
 @dataclass(frozen=True)
 class Header:
-    """What the first bytes of a SQLite file say (sqlite.org/fileformat2.html, section 1.3).
+    """The header of a SQLite file (sqlite.org/fileformat2.html, section 1.3).
 
     Attributes:
         n_bytes: How large the file should be.
         version: The format's version.
-        application_id: Whose format it is.
+        application_id: The application of the format.
     """
 
     n_bytes: int
@@ -72,7 +72,7 @@ def inspect(path: Path) -> Header:
             f"{path}: is of map format {header.version}, and this Stillroom knows formats up to {VERSION}; "
             "update Stillroom; the file was not touched"
         )
-    # With a log beside it the file may rightly be shorter than it will be.
+    # With a write-ahead log the file may be shorter than its header says.
     if n_bytes < header.n_bytes and not _has_log(path):
         raise MapError(
             f"{path}: is cut short: {n_bytes} of {header.n_bytes} bytes; copy it again from where it is whole"
@@ -88,7 +88,7 @@ def reading(path: Path) -> Iterator[sqlite3.Connection]:
         MapError: It cannot be opened or read; see `inspect`.
     """
     inspect(path)
-    # Without a log nobody is writing: SQLite then needs neither locks nor files beside it.
+    # Without a log there is no writer: SQLite then needs neither locks nor files beside it.
     how = "mode=ro" if _has_log(path) else "mode=ro&immutable=1"
     with naming(path):
         connection = sqlite3.connect(f"{path.resolve().as_uri()}?{how}", uri=True, timeout=0.2)
@@ -100,7 +100,7 @@ def reading(path: Path) -> Iterator[sqlite3.Connection]:
 
 
 def require_unused(path: Path) -> None:
-    """See to it that a new map can have this name.
+    """Check that a new map can have this name.
 
     Raises:
         MapError: There is a file of this name, or the log of a map that had it.
@@ -117,7 +117,7 @@ def require_unused(path: Path) -> None:
 
 
 def create(path: Path) -> sqlite3.Connection:
-    """Make a new, empty map and open it to write. It comes into being whole, or not at all.
+    """Make a new, empty map and open it to write. It is created atomically.
 
     Raises:
         MapError: There is a file of this name already, or it cannot be made.
@@ -140,10 +140,10 @@ def create(path: Path) -> sqlite3.Connection:
 
 
 def open_to_write(path: Path) -> sqlite3.Connection:
-    """Open a map that is there to write; nobody else can open it meanwhile.
+    """Open a map that is there to write; no other process can open it meanwhile.
 
     Raises:
-        MapError: It cannot be opened, or somebody else is writing it; see `inspect`.
+        MapError: It cannot be opened, or another process is writing it; see `inspect`.
     """
     inspect(path)
     with naming(path):
@@ -172,7 +172,7 @@ def close_written(connection: sqlite3.Connection, path: Path) -> None:
     with naming(path):
         try:
             connection.executescript("PRAGMA wal_checkpoint(TRUNCATE); PRAGMA journal_mode = DELETE;")
-            # What somebody left who read the map with its log after a crash; it is nobody's while this is open.
+            # Left by a reader of the map and its log after a crash; unused while this is open.
             path.with_name(path.name + "-shm").unlink(missing_ok=True)
         finally:
             connection.close()
@@ -180,10 +180,10 @@ def close_written(connection: sqlite3.Connection, path: Path) -> None:
 
 @contextmanager
 def naming(path: Path) -> Iterator[None]:
-    """Turn what SQLite and the system say of a file into one line.
+    """Turn errors of SQLite and the system into one line.
 
     Raises:
-        MapError: In their place.
+        MapError: Instead of them.
     """
     try:
         yield
@@ -191,7 +191,10 @@ def naming(path: Path) -> Iterator[None]:
         if "locked" in str(error):
             raise MapError(f"{path}: is in use by another run; wait for its end, or choose another map") from error
         raise MapError(f"{path}: {error}") from error
-    except (sqlite3.DatabaseError, UnicodeDecodeError) as error:  # what SQLite quotes of a damaged file may be no text
+    except (
+        sqlite3.DatabaseError,
+        UnicodeDecodeError,
+    ) as error:  # SQLite may quote bytes of a damaged file that are no text
         raise MapError(f"{path}: is damaged ({error}); 'stillroom map check {path}' says more") from error
     except OSError as error:
         raise MapError(f"{path}: cannot be written ({error.strerror})") from error

@@ -1,4 +1,4 @@
-"""Depth and colours of keyframes, where they are wanted: what a dense map can be made of again."""
+"""Depth and colours of keyframes, if wanted: a dense map can be made from them later."""
 
 from dataclasses import dataclass
 

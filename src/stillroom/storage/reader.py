@@ -33,7 +33,7 @@ def load_map(path: Path, whole: bool = True) -> StoredMap:
 
     Args:
         path: The file.
-        whole: Whether a map must be sound to be returned.
+        whole: Whether to refuse an inconsistent map.
 
     Raises:
         MapError: There is no such file, it is no map, of a newer version, cut short or damaged.
@@ -45,7 +45,7 @@ def load_map(path: Path, whole: bool = True) -> StoredMap:
             raise MapError(f"{path}: {error}") from error
         except (TypeError, ValueError, OverflowError) as error:  # a number where an array should be, and the like
             raise MapError(f"{path}: is damaged ({error}); 'stillroom map check {path}' says more") from error
-    # What refers to something that is not there would crash a run, or hang it.
+    # Dangling references would crash a run, or hang it.
     for problem in problems_of_map(stored.world) if whole else ():
         raise MapError(f"{path}: is damaged: {problem}; 'stillroom map check {path}' says more")
     return stored
@@ -149,7 +149,7 @@ def _read_keyframes(database: sqlite3.Connection, world: Map) -> None:
 
 
 def _fill(database: sqlite3.Connection, world: Map, table: str, columns: dict[str, Packed]) -> None:
-    """Take what a table holds of each keyframe into columns, here by their names in memory, of the keypoint table."""
+    """Read a table's arrays of each keyframe into columns of the keypoint table, given by their names in memory."""
     filled = np.zeros(len(world.keyframes), dtype=np.bool_)
     for keyframe, *blobs in database.execute(f"SELECT * FROM {table} ORDER BY keyframe"):
         if not 0 <= keyframe < len(filled):
@@ -180,7 +180,7 @@ def _read_points(database: sqlite3.Connection, world: Map, n_points: int) -> Non
 
 
 def count_images(path: Path) -> int:
-    """Return of how many keyframes images were kept.
+    """Return how many keyframes have stored images.
 
     Raises:
         MapError: As for `load_map`.

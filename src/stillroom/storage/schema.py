@@ -1,4 +1,4 @@
-"""The tables of a map file. docs/map-file.md says the same in words; a change here needs a new `VERSION`."""
+"""The tables of a map file. docs/map-file.md describes them; a change here needs a new `VERSION`."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -13,11 +13,11 @@ from stillroom.geometry.arrays import F64
 from stillroom.geometry.camera import Camera
 
 APPLICATION_ID = 0x5374696C
-"""Says in the file's header whose it is: "Stil" in ASCII."""
+"""The application id in the file's header: "Stil" in ASCII."""
 VERSION = 1
 """The version of the format, in the header's `user_version`."""
 POINTS_A_BLOCK = 256
-"""Points are stored in blocks of so many ids: a block is written again when one of its points has changed."""
+"""Points are stored in blocks of this many ids: a block is written again when one of its points has changed."""
 TABLES = """
 CREATE TABLE map (
     id INTEGER PRIMARY KEY CHECK (id = 1),
@@ -80,12 +80,12 @@ CREATE TABLE images (
 POSE = np.dtype("<f8")
 
 
-# What a map file holds, beside the tables of the map itself.
+# The contents of a map file in addition to the tables of the map itself.
 
 
 @dataclass(frozen=True)
 class Session:
-    """One run that made the map or went on with it.
+    """One run that created or extended the map.
 
     Attributes:
         first_keyframe: Id from which on the keyframes are this session's, until the next one's.
@@ -94,9 +94,9 @@ class Session:
         source_commit: Its git commit, where known.
         sequence: Name of the sequence.
         method: Name of the method.
-        seed: Where every random choice started.
+        seed: Seed of all random choices.
         vocabulary: The file of the vocabulary by which it recognised places; "" for the one that is shipped.
-        vocabulary_digest: Names that very vocabulary. No words are stored: they are looked up again.
+        vocabulary_digest: Identifies the vocabulary. No words are stored: they are computed again.
         config: The effective config as TOML.
     """
 
@@ -114,13 +114,13 @@ class Session:
 
 @dataclass(frozen=True)
 class FrameNote:
-    """A tracked frame, hung on its reference keyframe.
+    """A tracked frame, with its pose relative to its reference keyframe.
 
     Attributes:
         session: Which session it belongs to, from 0.
         image_index: Number of the image in its sequence.
         timestamp_s: Its time [s].
-        reference_keyframe: Id of the keyframe it hangs on.
+        reference_keyframe: Id of its reference keyframe.
         T_reference_cam: Its pose in that keyframe (4, 4).
     """
 
@@ -132,7 +132,7 @@ class FrameNote:
 
     @classmethod
     def of(cls, result: FrameSummary, session: int) -> "FrameNote | None":
-        """Return the note of a frame; None of one that was lost."""
+        """Return the entry of a frame; None for one that was lost."""
         if result.T_reference_cam is None:
             return None
         return cls(session, result.index, result.timestamp_s, result.reference_keyframe, result.T_reference_cam)

@@ -1,4 +1,4 @@
-"""Writing a map as it grows: with each commit what has changed since the last one, all of it or nothing."""
+"""Writing a map as it grows: each commit writes what has changed since the last one, atomically."""
 
 import sqlite3
 from collections.abc import Iterable, Iterator
@@ -28,7 +28,7 @@ def save_map(path: Path, stored: StoredMap) -> None:
 
 
 class MapWriter:
-    """Keeps a file in step with a map. As a context, it leaves one whole file behind; after an error, the last commit.
+    """Keeps a file in sync with a map. As a context manager it leaves one file; after an error, the last commit.
 
     Calls may come from any thread, one at a time; they hold the map's lock while they read it.
     """
@@ -57,17 +57,17 @@ class MapWriter:
 
     @classmethod
     def go_on(cls, path: Path, world: Map) -> "MapWriter":
-        """Go on with the file that a map was loaded from, before anything has changed in the map.
+        """Extend the file that a map was loaded from, before anything has changed in the map.
 
         Raises:
-            MapError: Somebody else is writing it, or it cannot be written.
+            MapError: Another process is writing it, or it cannot be written.
         """
         changes = Changes(world)
         changes.forget()
         return cls(opening.open_to_write(path), path, world, changes)
 
     def begin(self, session: Session) -> int:
-        """Note that a session begins; return its number."""
+        """Begin a session; return its number."""
         with self._transaction() as database:
             number = int(database.execute("SELECT count(*) FROM sessions").fetchone()[0])
             insert(database, "sessions", [(number, *astuple(session))])
@@ -100,7 +100,7 @@ class MapWriter:
         self.abandon()
 
     def abandon(self) -> None:
-        """Leave one file, as the last commit made it; do nothing if that is done.
+        """Leave one file at the last commit; do nothing if already closed.
 
         Raises:
             MapError: The disk is full, or the like; what was committed is safe.

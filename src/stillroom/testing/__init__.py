@@ -1,1 +1,1 @@
-"""The contracts of the sockets, importable: run your own dataset, segmenter or sieve through them in your tests."""
+"""The contracts of the sockets: conformance tests for your own data set, segmenter, sieve or method."""

@@ -1,4 +1,4 @@
-"""What every `Dataset` must keep. A data set that is listed in a test and passes this may be called supported.
+"""The contract of every `Dataset`. A data set that passes this in a test may be called supported.
 
 In a test of your own::
 
@@ -24,7 +24,7 @@ PLAUSIBLE_DEPTH_M = (0.05, 60.0)
 
 @dataclass(frozen=True)
 class KnownPixel:
-    """One pixel whose colour and depth are known from elsewhere: only that can tell red from blue.
+    """One pixel whose colour and depth are known independently: only that can detect swapped channels.
 
     Attributes:
         index: Place of the image in the data set.
@@ -43,12 +43,12 @@ class KnownPixel:
 
 
 def check_dataset(dataset: Dataset, *known_pixels: KnownPixel) -> None:
-    """Make sure that a data set keeps the socket's promises.
+    """Check that a data set fulfils the contract.
 
     Reads at most `SAMPLED_FRAMES` different frames, each up to three times.
 
     Raises:
-        AssertionError: It does not; the message says which promise is broken, and where.
+        AssertionError: It does not; the message says which rule is broken, and where.
     """
     _check_description(dataset)
     _check_borders(dataset)
@@ -124,7 +124,7 @@ def _check_borders(dataset: Dataset) -> None:
 
 
 def _load(dataset: Dataset, place: int) -> RgbdImage | None:
-    """Load a frame; None where it is one that cannot be used, which a data set may have."""
+    """Load a frame; None for an unusable one, which a data set may have."""
     try:
         return dataset.load(place)
     except FrameError:
@@ -154,7 +154,7 @@ def _check_image(dataset: Dataset, place: int, image: RgbdImage) -> None:
 
 
 def _check_repeats(dataset: Dataset, first_pass: dict[int, RgbdImage | None]) -> None:
-    """Load again from the back, twice each: neither the order nor what a caller did to an image may matter."""
+    """Load again in reverse order, twice each: neither the order nor changes to an image by a caller may matter."""
     copies = {place: image and _copied(image) for place, image in first_pass.items()}
     for place, before in reversed(copies.items()):
         for _ in range(2):

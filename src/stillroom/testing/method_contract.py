@@ -1,4 +1,4 @@
-"""What every `Method` must keep.
+"""The contract of every `Method`.
 
 In a test of your own::
 
@@ -28,19 +28,18 @@ DARK_FRAMES = 2
 
 
 def check_method(method: Method, dataset: Dataset, segmenter: Callable[[], Segmenter] | None = None) -> System:
-    """Make sure that a method keeps what all methods promise.
+    """Check that a method fulfils the contract.
 
     Args:
         method: The method.
         dataset: A short sequence, some 30 frames, in which the camera can be tracked.
-        segmenter: Builds what stands in for the method's own segmenter, such as one without weights; a fresh one each
-            time.
+        segmenter: Builds a replacement of the method's own segmenter, such as one without weights; a new one each time.
 
     Returns:
-        The system after a run, for what else a test wants to know.
+        The system after a run, for further assertions.
 
     Raises:
-        AssertionError: A promise is broken; the message says which.
+        AssertionError: A rule is broken; the message says which.
     """
     _check_description(method)
     config = method.config
@@ -144,7 +143,7 @@ def _counts(result: FrameSummary) -> tuple[int, ...]:
 
 
 def _check_darkness(system: System, images: Sequence[RgbdImage]) -> None:
-    """Cover the lens in the middle, and let depth fail once."""
+    """Test a black image in the middle, and an image without depth."""
     middle = len(images) // 2
     changed = list(images)
     for place in range(middle, min(middle + DARK_FRAMES, len(images))):
@@ -162,7 +161,7 @@ def _check_darkness(system: System, images: Sequence[RgbdImage]) -> None:
 
 
 def _check_empty(system: System, image: RgbdImage) -> None:
-    """Begin with a black image: there is no map yet, so there is nothing to be lost in."""
+    """Begin with a black image: there is no map yet, so tracking cannot be lost."""
     system.process(_dark(image))
     assert system.results[-1].state is TrackingState.NOT_INITIALIZED, "a black first image must not begin a map"
     for name, trajectory in (("final", system.trajectory()), ("keyframes'", system.keyframe_trajectory())):

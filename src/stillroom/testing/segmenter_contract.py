@@ -1,4 +1,4 @@
-"""What every `Segmenter` must keep.
+"""The contract of every `Segmenter`.
 
 In a test of your own::
 
@@ -19,17 +19,17 @@ from stillroom.protocols import Segmenter
 
 
 def check_segmenter(build: Callable[[], Segmenter], images: Sequence[RgbdImage]) -> list[Semantics]:
-    """Make sure that a segmenter keeps the socket's promises.
+    """Check that a segmenter fulfils the contract.
 
     Args:
-        build: Returns a fresh segmenter.
-        images: Consecutive images of one size, in order; a few in which it finds something tell the most.
+        build: Returns a new segmenter.
+        images: Consecutive images of one size, in order; some of them should contain detections.
 
     Returns:
-        Its answers to the images, for what else a test wants to know of them.
+        Its results for the images, for further assertions.
 
     Raises:
-        AssertionError: It does not keep them; the message says which promise is broken, and where.
+        AssertionError: It does not; the message says which rule is broken, and where.
     """
     assert images, "no images to try it on"
     segmenter = build()
@@ -43,7 +43,7 @@ def check_segmenter(build: Callable[[], Segmenter], images: Sequence[RgbdImage])
     fresh = build()
     for image, copy in zip(images, copies, strict=True):
         _check_same(_ask(fresh, image), copy, f"image {image.index}: a fresh segmenter answers otherwise")
-    # A cap on the lens in the middle of a run, then light again.
+    # A black image in the middle of a run, then normal ones.
     last = images[-1]
     for step, dark in enumerate((_black(last), last), start=1):
         _ask(segmenter, replace(dark, index=last.index + step, timestamp_s=last.timestamp_s + step / 30.0))
@@ -116,7 +116,7 @@ def _copied(answer: Semantics) -> Semantics:
 
 
 def _told(instance: Instance) -> tuple[object, ...]:
-    """Return all that an instance says, such that two can be compared."""
+    """Return the fields of an instance, such that two can be compared."""
     return instance.label, instance.score, instance.track_id, instance.x_px, instance.y_px, instance.pixels.tolist()
 
 

@@ -1,4 +1,4 @@
-"""What every `MatchSieve` must keep.
+"""The contract of every `MatchSieve`.
 
 In a test of your own::
 
@@ -35,11 +35,11 @@ TINY = "synthetic:walking,frames=20,fps=8,cache=off"
 """Two and a half seconds; figures walk in from both sides."""
 SEED = 3
 FEWEST_MATCHES = 40
-"""The odd questions are made of one that has at least so many."""
+"""Fewest matches of the question from which degenerate ones are made."""
 Build = Callable[[Parts], MatchSieve]
 
 
-# Questions to put to a match sieve: good ones as tracking asks them, and odd ones made of a good one.
+# Questions for a match sieve: valid ones as in tracking, and degenerate ones derived from them.
 
 
 def at(question: Question, stage: Stage, index: int) -> Question:
@@ -50,7 +50,7 @@ def at(question: Question, stage: Stage, index: int) -> Question:
 
 
 def fingerprints(question: Question) -> dict[str, int]:
-    """Return a checksum of each array that the sieve is given, by name."""
+    """Return a checksum of each array of a question, by name."""
     frame, semantics = question.frame, question.known
     arrays = {
         "frame.image.rgb": frame.image.rgb,
@@ -72,7 +72,7 @@ def fingerprints(question: Question) -> dict[str, int]:
 
 
 def odd_questions(question: Question) -> Iterator[tuple[str, Question]]:
-    """Vary a good question: what it is put about is poor, or missing."""
+    """Derive degenerate questions: data is poor, or missing."""
     frame, matches, semantics = question.frame, question.matches, question.known
     none, size = np.zeros(len(matches), dtype=np.bool_), (frame.image.height, frame.image.width)
     one = none.copy()
@@ -109,11 +109,11 @@ def _without_depth(frame: Frame) -> Frame:
 
 @dataclass(frozen=True)
 class Answer:
-    """A verdict of a run.
+    """A result of a sieve during a run.
 
     Attributes:
-        stage, index: When it was given, and the number of the image.
-        motion: The verdict.
+        stage, index: The stage, and the number of the image.
+        motion: The result.
     """
 
     stage: Stage
@@ -122,20 +122,20 @@ class Answer:
 
 
 def check_sieve(build: Build, dataset: Dataset | None = None) -> list[Answer]:
-    """Make sure that a match sieve keeps the socket's promises.
+    """Check that a match sieve fulfils the contract.
 
-    The camera is tracked through a short rendered sequence with the sieve in its place; it is given the renderer's
-    boxes, and its figures as clusters. Then odd questions are put to it, fresh and with the past that the run gave it.
+    The camera is tracked through a short rendered sequence with the sieve; it gets the renderer's boxes, and its
+    figures as clusters. Then degenerate questions are put to it, new and after the run.
 
     Args:
-        build: Returns a fresh sieve, built of parts.
-        dataset: A rendered sequence of some 20 frames; the package's own where not given.
+        build: Returns a new sieve, built of parts.
+        dataset: A rendered sequence of some 20 frames; by default the package's own.
 
     Returns:
-        Its verdicts during the run, for what else a test wants to know of them.
+        Its results during the run, for further assertions.
 
     Raises:
-        AssertionError: It does not keep them; the message says which promise is broken, and where.
+        AssertionError: It does not; the message says which rule is broken, and where.
     """
     dataset = dataset or open_dataset(TINY)
     tracking = _Tracking(build)
@@ -154,7 +154,7 @@ def check_sieve(build: Build, dataset: Dataset | None = None) -> list[Answer]:
 
 
 class _Tracking:
-    """Sits in the tracker's socket, puts each of its questions to the sieve, twice, and to a twin of it."""
+    """Replaces the tracker's sieve: passes each question to the sieve, twice, and to a second instance of it."""
 
     def __init__(self, build: Build) -> None:
         self.build_one = build
@@ -186,7 +186,7 @@ class _Tracking:
             asked.remember(frame, T_cam_world, keyframe)
 
     def corrected(self, T_new_old: F64) -> None:
-        """The sieve and its twin are led on their own."""
+        """Do nothing: the sieve and the second instance have their own life cycle."""
 
     def check_answers(self) -> None:
         missing = {Stage.MOTION_MODEL, Stage.REFERENCE_KEYFRAME, Stage.LOCAL_MAP} - {a.stage for a in self.answers}
@@ -206,13 +206,13 @@ class _Tracking:
 
 
 class _TrueBoxesAndClusters:
-    """Tells boxes as a detector would, and clusters as a depth cloud would fall into them."""
+    """Returns boxes as a detector would, and clusters as of a depth cloud."""
 
     def __init__(self, camera: Camera) -> None:
         self.camera = camera
 
     def __call__(self, image: RgbdImage) -> Semantics:
-        assert image.truth is not None, f"image {image.index} carries no truth: the sequence must be a rendered one"
+        assert image.truth is not None, f"image {image.index} has no ground truth: the sequence must be a rendered one"
         clusters = true_clusters(image, self.camera)
         return Semantics(image.height, image.width, image.truth.boxes, clusters=clusters)
 
@@ -222,12 +222,12 @@ def _where(question: Question) -> str:
 
 
 def _led(sieve: MatchSieve, world: Map) -> Asking:
-    """Return who leads a sieve through its life, with its answers looked at before anything is done with them."""
+    """Return the life cycle of a sieve whose results are checked."""
     return Asking(_Checked(sieve), world)
 
 
 class _Checked:
-    """Stands for a sieve; makes sure that it leaves alone what it is given, and that its answers are whole."""
+    """A proxy of a sieve; checks that it does not modify its input, and that its results are complete."""
 
     def __init__(self, sieve: MatchSieve) -> None:
         self.sieve = sieve
@@ -264,7 +264,7 @@ def _check_same(motion: Motion, expected: Motion, who: str) -> None:
 
 
 def _check_odd(sieve: Asking, question: Question, numbers: Iterator[int], what: str) -> None:
-    for stage in Stage:  # Each about an image of its own: what was judged at another stage must not hang over.
+    for stage in Stage:  # Each with a new image: results of another stage must not be cached.
         try:
             sieve.judge(at(question, stage, next(numbers)))
         except AssertionError as error:

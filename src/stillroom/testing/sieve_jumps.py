@@ -1,4 +1,4 @@
-"""What every `MatchSieve` must keep when the map jumps.
+"""The contract of every `MatchSieve` when the map jumps: a correction moves it at once.
 
 In a test of your own::
 
@@ -39,21 +39,20 @@ FAR = (0.7, -0.4, 1.1, 0.2, 0.9, -0.3)
 
 
 def check_follows_jumps(build: Callable[[Parts], MatchSieve], dataset: Dataset | None = None) -> int:
-    """Make sure that a sieve says the same of a map that jumps as of one that does not.
+    """Check that a sieve gives the same results on a map that jumps as on one that does not.
 
-    The camera is tracked through a short rendered sequence with the sieve in its place. A twin of it is asked the same
-    questions about the same map, which from the middle of the sequence on lies elsewhere, and says so in `Map.jumps`.
+    The camera is tracked through a short rendered sequence with the sieve. A second instance gets the same questions on
+    the same map, which is moved from the middle of the sequence on, with an entry in `Map.jumps`.
 
     Args:
-        build: Returns a fresh sieve, built of parts.
-        dataset: A rendered sequence of some 16 frames without loops; the package's own where not given.
+        build: Returns a new sieve, built of parts.
+        dataset: A rendered sequence of some 16 frames without loops; by default the package's own.
 
     Returns:
-        How many verdicts after the jump found something to move.
+        Number of results after the jump in which something is dynamic.
 
     Raises:
-        AssertionError: The sieve holds what it sees against what it remembers from before the jump, as if that were
-            still where it was.
+        AssertionError: The sieve compares with data from before the jump without correcting its poses.
     """
     dataset = dataset or select(open_dataset(WALKING), FRAMES)
     first = dataset.load(0).index
@@ -67,19 +66,19 @@ def check_follows_jumps(build: Callable[[Parts], MatchSieve], dataset: Dataset |
 
 
 class _OneBoxAndClusters:
-    """Tells the first box only, as a detector that misses people would, and the clusters of a depth cloud."""
+    """Returns the first box only, as a detector that misses people would, and the clusters of a depth cloud."""
 
     def __init__(self, camera: Camera) -> None:
         self.camera = camera
 
     def __call__(self, image: RgbdImage) -> Semantics:
-        assert image.truth is not None, f"image {image.index} carries no truth: the sequence must be a rendered one"
+        assert image.truth is not None, f"image {image.index} has no ground truth: the sequence must be a rendered one"
         clusters = true_clusters(image, self.camera)
         return Semantics(image.height, image.width, image.truth.boxes[:1], clusters=clusters)
 
 
 class _JumpingTracking:
-    """Sits in the tracker's socket, puts each of its questions to the sieve, and to a twin after the map jumped."""
+    """Replaces the tracker's sieve: passes each question to the sieve, and to a second instance after the jump."""
 
     def __init__(self, build: Callable[[Parts], MatchSieve], jump_at: int) -> None:
         self.build_one, self.jump_at, self.n_moving = build, jump_at, 0
@@ -115,12 +114,12 @@ class _JumpingTracking:
             self.twin.remember(frame, T_cam_world @ se3.inverse(self.jump), keyframe)
 
     def corrected(self, T_new_old: F64) -> None:
-        """The sieve and its twin are led on their own."""
+        """Do nothing: the sieve and the second instance have their own life cycle."""
 
 
 @contextmanager
 def _jumped(world: Map, T_new_old: F64) -> Iterator[None]:
-    """Let a map lie elsewhere for a while, as after a correction that moved all of it by a motion (4, 4)."""
+    """Move a map for a while, as by a correction that moves all of it by a motion (4, 4)."""
     columns = world.keyframes.T_world_cam, world.points.position_m, world.points.normal
     before = [column.copy() for column in columns]
     columns[0][:] = T_new_old @ before[0]

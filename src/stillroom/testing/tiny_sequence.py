@@ -1,4 +1,4 @@
-"""A sequence of a few tiny frames, written to disk in the TUM layout: something real to open in a test."""
+"""A sequence of a few tiny frames, written to disk in the TUM layout: for tests that open files."""
 
 from pathlib import Path
 
@@ -26,7 +26,7 @@ def write_tiny_sequence(folder: Path, frames: int = 6, camera: Camera = TINY_CAM
     has no depth. The camera moves along x, 1 cm a frame.
 
     Returns:
-        What is known of a pixel of each frame, for `check_dataset`.
+        A known pixel of each frame, for `check_dataset`.
     """
     known: list[KnownPixel] = []
     rgb_lines, depth_lines = ["# color images", "# timestamp filename"], ["# depth maps", "# timestamp filename"]

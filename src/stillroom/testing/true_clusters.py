@@ -1,4 +1,4 @@
-"""The clusters that a depth cloud would fall into, taken from what the renderer knows."""
+"""The clusters of a depth cloud, from the renderer's ground truth."""
 
 import numpy as np
 
@@ -15,7 +15,7 @@ def true_clusters(image: RgbdImage, camera: Camera) -> Clusters | None:
     """Return the moving things of a rendered image as clusters, all else with depth as plane; None without truth."""
     if image.truth is None:
         return None
-    # By touch and not by instance, as a cloud falls apart: two people who touch are one cluster.
+    # By contact and not by instance, as in a depth cloud: two people who touch are one cluster.
     movable = image.truth.movable & (image.depth_m > 0)
     parts = [part for part in connected_parts(movable) if part.area_px >= SMALLEST_PX]
     parts.sort(key=lambda part: -part.area_px)

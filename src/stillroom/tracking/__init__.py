@@ -1,1 +1,1 @@
-"""Where the camera is: from one frame to the next, against the local map, and again after being lost."""
+"""Tracking: from frame to frame, against the local map, and relocalization."""

@@ -1,4 +1,4 @@
-"""The searches of the three tracking stages: which keypoint of the frame sees which point of the map."""
+"""The searches of the three tracking stages: correspondences between keypoints and map points."""
 
 import numpy as np
 
@@ -13,15 +13,15 @@ from stillroom.geometry.arrays import F64, I32, Bool
 
 
 def targets_of(frame: Frame, usable: Bool) -> Targets:
-    """Return the frame's keypoints as something to search among."""
+    """Return the frame's keypoints as search targets."""
     kp = frame.keypoints
     return Targets(kp.px, kp.octave, kp.right_px, kp.descriptors, usable)
 
 
 def with_last_frame(frame: Frame, last: Tracked, T_cam_world: F64, world: Map, radius_px: float) -> Matches:
-    """Look for the last frame's points around where the motion model expects them.
+    """Search the last frame's points around their predicted projections.
 
-    The level to look on follows from the direction of travel: forward makes things larger (ORB-SLAM2).
+    The pyramid levels to search depend on the direction of travel (ORB-SLAM2).
 
     Args:
         frame: The present frame.
@@ -32,7 +32,7 @@ def with_last_frame(frame: Frame, last: Tracked, T_cam_world: F64, world: Map, r
     """
     assert last.T_world_cam is not None
     seen = np.flatnonzero(last.point_ids >= 0)
-    # Points that mapping joined since the last frame are looked for once.
+    # Points that mapping fused since the last frame are searched once.
     seen = np.sort(seen[np.unique(last.point_ids[seen], return_index=True)[1]])
     ids = last.point_ids[seen]
     points_cam = se3.transform(T_cam_world, world.points.position_m[ids])
@@ -61,7 +61,7 @@ def with_last_frame(frame: Frame, last: Tracked, T_cam_world: F64, world: Map, r
 
 
 def with_keyframe(frame: Frame, keyframe: int, world: Map) -> Matches:
-    """Match with a keyframe's points by their descriptors alone."""
+    """Match with a keyframe's points by descriptors alone."""
     rows = world.rows(keyframe)
     point = world.keypoints.point[rows]
     seen = np.flatnonzero(point >= 0)
@@ -77,11 +77,11 @@ def with_keyframe(frame: Frame, keyframe: int, world: Map) -> Matches:
 def with_points(
     frame: Frame, ids: I32, free: Bool, T_cam_world: F64, world: Map, widen: float, ratio: float = 0.8
 ) -> tuple[Matches, I32]:
-    """Look for map points around their projection under a pose that is already good.
+    """Search map points around their projections at a good pose.
 
     Args:
         frame: The present frame.
-        ids: Points to look for (P,).
+        ids: Points to search (P,).
         free: Keypoints that may still be matched (N,).
         T_cam_world: Pose (4, 4).
         world: The map.
@@ -91,7 +91,7 @@ def with_points(
     Returns:
         The matches, and the points (V,) that should have been visible.
     """
-    # ORB-SLAM2: a point seen almost head-on is looked for more narrowly.
+    # ORB-SLAM2: the window is smaller for a point seen almost head-on.
     window = Window(4.0 * widen, head_on_px=2.5 * widen, levels_above=0, ratio=ratio)
     targets = targets_of(frame, free & frame.is_static)
     found = search_around(ids, T_cam_world, frame.camera, world, targets, window)

@@ -12,7 +12,7 @@ from stillroom.protocols import Parts
 
 @dataclass(frozen=True)
 class KeyframePolicyConfig:
-    """After ORB-SLAM2's RGB-D rules (docs/reference.md#orb-slam2-keyframes), for a mapper that is always ready.
+    """After ORB-SLAM2's RGB-D rules (docs/reference.md#orb-slam2-keyframes), for a mapper that is always idle.
 
     Differs from ORB-SLAM2: the share is taken of all points that the reference keyframe sees, not of those that other
     keyframes see too. Right after a keyframe the latter are few, and the next keyframe comes too late when the camera
@@ -20,12 +20,14 @@ class KeyframePolicyConfig:
 
     Attributes:
         min_gap: Frames between keyframes, at least; one is enough when close points are needed.
-        quiet_after_recovery: Frames without keyframes after the camera was lost, so that a wrong recovery does no harm.
+        quiet_after_recovery: Frames without keyframes after the camera was lost, so that a wrong relocalization does no
+            harm.
         th_depth: A point is close when nearer than this many baselines; close points give translation.
-        min_tracked_close, max_untracked_close: Close points are needed when fewer are tracked and more are not.
+        min_tracked_close, max_untracked_close: Close points are needed when fewer than the first are tracked and more
+            than the second are not.
         share: A keyframe is due when fewer than this share of the reference keyframe's points is tracked.
-        min_inliers: Below this the pose is too weak to build on.
-        enabled: Whether frames become keyframes at all; false tracks against a map that is there.
+        min_inliers: Fewest inliers of a keyframe.
+        enabled: Whether frames become keyframes at all; false localizes in the map as it is.
     """
 
     min_gap: int = bounded(3, least=0)
@@ -43,7 +45,7 @@ class KeyframePolicyConfig:
 
 
 class KeyframePolicy:
-    """Asked after every frame."""
+    """Called after every frame."""
 
     def __init__(self, config: KeyframePolicyConfig) -> None:
         """Start before the first frame."""

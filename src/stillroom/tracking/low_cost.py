@@ -1,12 +1,11 @@
-"""Low-cost tracking: a quick pose before tracking proper (DynaSLAM III.B, PSPNet-SLAM III.B).
+"""Low-cost tracking: a pose before the other stages of tracking (DynaSLAM III.B, PSPNet-SLAM III.B).
 
-Multi-view geometry needs a pose to tell what moves, and tracking must know what moves to find the pose. Low-cost
-tracking breaks the circle: it localises the camera in the map already made, from what the network does not call
-movable. Sieve 2 is then asked, with `Stage.LOW_COST`; tracking proper starts from the pose, and its stages hear what
-the sieve found.
+Multi-view geometry needs a pose to find what is dynamic, and tracking needs to know that to find the pose. Low-cost
+tracking breaks the circle: it localises the camera in the existing map, from what is not potentially dynamic. Sieve 2
+is then called, with `Stage.LOW_COST`; the other stages start from the pose, and use what the sieve found.
 
 Differs from DynaSLAM's code: the last frame is not restored and the present one is not built twice, because neither is
-changed; and a camera that is not found here is left to tracking proper, which looks further.
+changed; and where it fails, the other stages follow, with larger windows.
 """
 
 from dataclasses import dataclass, field
@@ -27,15 +26,15 @@ from stillroom.tracking import correspondences
 
 @dataclass(frozen=True)
 class NoLowCostConfig:
-    """Tracking starts from the motion model's guess, as ORB-SLAM2's does; sieve 2 is first asked there."""
+    """Tracking starts from the motion model's guess, as ORB-SLAM2's does; sieve 2 is first called there."""
 
     def build(self, parts: Parts, sieve: MatchSieve) -> QuickTracking:
-        """Return what does nothing."""
+        """Return the null object."""
         return NoLowCost()
 
 
 class NoLowCost:
-    """Leaves the guess as it is."""
+    """The null object: returns the guess."""
 
     def localize(self, frame: Frame, last: Tracked, T_cam_world: F64, semantics: Pending[Semantics], world: Map) -> F64:
         """Return the guess."""
@@ -44,7 +43,7 @@ class NoLowCost:
 
 @dataclass(frozen=True)
 class LowCostConfig:
-    """When low-cost tracking trusts what it found (docs/reference.md#dynaslam).
+    """When low-cost tracking accepts its pose (docs/reference.md#dynaslam).
 
     Attributes:
         window_px: Search window around a point's projection; doubled when too little is found.
@@ -57,20 +56,20 @@ class LowCostConfig:
     pose: PoseOptimizerConfig = field(default_factory=PoseOptimizerConfig)
 
     def build(self, parts: Parts, sieve: MatchSieve) -> QuickTracking:
-        """Return low-cost tracking that asks the sieve."""
+        """Return low-cost tracking that calls the sieve."""
         return LowCost(self, sieve)
 
 
 class LowCost:
-    """Projects the last frame's points, optimises the pose over what is found, and asks the sieve under it."""
+    """Projects the last frame's points, optimises the pose over the matches, and calls the sieve at it."""
 
     def __init__(self, config: LowCostConfig, sieve: MatchSieve) -> None:
-        """Keep what is needed; no past."""
+        """Store the parts."""
         self.config, self.sieve = config, sieve
         self._optimize = config.pose.build()
 
     def localize(self, frame: Frame, last: Tracked, T_cam_world: F64, semantics: Pending[Semantics], world: Map) -> F64:
-        """Return the quick pose, after the sieve has been asked under it; the guess where there is none."""
+        """Return the pose, after the sieve was called at it; the guess where tracking fails."""
         for widen in (1.0, 2.0):
             window_px = widen * self.config.window_px
             matches = correspondences.with_last_frame(frame, last, T_cam_world, world, window_px)

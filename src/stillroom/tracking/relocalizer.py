@@ -1,4 +1,4 @@
-"""Finding the camera again when it was lost: by places, by the last keyframes, or by starting a new piece of map."""
+"""Recovery after tracking was lost: relocalization by places or by the last keyframes, or a new sub-map."""
 
 from dataclasses import dataclass, field, replace
 
@@ -25,12 +25,12 @@ from stillroom.tracking.tracker import Tracker
 MATCHING_RATIO = 0.75
 
 
-# From a keyframe that looks alike to a pose: matching, PnP by RANSAC, optimisation, guided search (ORB-SLAM2).
+# From a candidate keyframe to a pose: matching, PnP by RANSAC, optimisation, guided search (ORB-SLAM2).
 
 
 @dataclass(frozen=True)
 class RecognitionConfig:
-    """When a place is taken for recognised (ORB-SLAM2's numbers; docs/reference.md#orb-slam2-relocalization).
+    """When a place counts as recognised (ORB-SLAM2's numbers; docs/reference.md#orb-slam2-relocalization).
 
     Attributes:
         min_matches: Matches by words that a keyframe needs.
@@ -38,10 +38,10 @@ class RecognitionConfig:
         n_samples: Samples that RANSAC draws at most.
         min_ransac_inliers: Points that must agree with RANSAC's pose, and with the one refined from them.
         wide_px, wide_bits: Window on the finest level, and largest distance of descriptors, of the first search around
-            where points should be.
+            projections.
         narrow_px, narrow_bits: The same of the second, once `narrow_from` points agree.
         narrow_from: See there.
-        min_inliers: Points that must agree in the end.
+        min_inliers: Fewest inliers finally.
         pose: The optimiser.
     """
 
@@ -58,13 +58,13 @@ class RecognitionConfig:
     pose: PoseOptimizerConfig = field(default_factory=PoseOptimizerConfig)
 
     def build(self, parts: Parts) -> "Recognizer":
-        """Return the recogniser; its random choices start from the seed."""
+        """Return the recogniser; the seed initialises its random generator."""
         return Recognizer(self, parts.seed)
 
 
 @dataclass(frozen=True)
 class RecognizedPose:
-    """A pose and what agrees with it.
+    """A pose and its inliers.
 
     Attributes:
         T_cam_world: The pose (4, 4).
@@ -81,22 +81,22 @@ class RecognizedPose:
 
 
 class Recognizer:
-    """Tells whether a frame shows the place that a keyframe saw, and from where."""
+    """Estimates the pose of a frame relative to a candidate keyframe."""
 
     def __init__(self, config: RecognitionConfig, seed: int) -> None:
-        """Keep what it takes."""
+        """Store the parts."""
         self.config, self.seed = config, seed
         self._optimize = config.pose.build()
 
     def recognise(self, frame: Frame, bag: Bag, keyframe: int, nodes: I32, world: Map) -> RecognizedPose | None:
         """Return the pose of a frame by the points of a keyframe and its neighbours; None where too few agree.
 
-        Differs from ORB-SLAM2: the guided search looks for the points of the keyframe's neighbours too.
+        Differs from ORB-SLAM2: the guided search includes the points of the keyframe's neighbours.
 
         Args:
             frame: The frame.
-            bag: What it says.
-            keyframe: The keyframe that looks like it.
+            bag: Its bag of words.
+            keyframe: The candidate keyframe.
             nodes: The branch of each of its keypoints.
             world: The map.
         """
@@ -139,7 +139,7 @@ class Recognizer:
     def _search(
         self, frame: Frame, found: RecognizedPose, ids: I32, radius_px: float, max_bits: int, world: Map
     ) -> RecognizedPose:
-        """Look for more of the points (P,) where the pose says they are, and fit it to all of them."""
+        """Search more of the points (P,) around their projections, and fit the pose to all matches."""
         missing = ids[~np.isin(ids, found.point_ids)]
         more = around_projections(
             frame, found.T_cam_world, missing, found.point_ids < 0, Window(radius_px, max_bits=max_bits), world
@@ -165,7 +165,7 @@ def by_words(frame: Frame, bag: Bag, keyframe: int, nodes: I32, world: Map) -> M
 
 
 def around_projections(frame: Frame, T_cam_world: F64, ids: I32, free: Bool, window: Window, world: Map) -> Matches:
-    """Look for points (P,) among the free keypoints (N,) near where they should be under a pose (4, 4)."""
+    """Search points (P,) among the free keypoints (N,) around their projections at a pose (4, 4)."""
     targets = targets_of(frame, free & frame.is_static)
     found = search_around(ids, T_cam_world, frame.camera, world, targets, window)
     unknown_px = np.full((len(found.target), 2), np.nan, dtype=np.float32)
@@ -175,7 +175,7 @@ def around_projections(frame: Frame, T_cam_world: F64, ids: I32, free: Bool, win
 def solve_pnp(
     frame: Frame, matches: Matches, world: Map, reprojection_px: float, n_samples: int, min_inliers: int, seed: int
 ) -> tuple[F64, Bool] | None:
-    """Solve for `T_cam_world` (4, 4) by EPnP in RANSAC; return it with which matches (M,) agree, or None."""
+    """Solve for `T_cam_world` (4, 4) by EPnP in RANSAC; return it with its inliers (M,), or None."""
     points_m = world.points.position_m[matches.point_id]
     centre_m = points_m.mean(axis=0)  # sub-maps may lie far from the origin
     cv2.setRNGSeed(seed)
@@ -201,16 +201,16 @@ def solve_pnp(
 
 @dataclass(frozen=True)
 class RelocalizerConfig:
-    """How a lost camera is found.
+    """Relocalization, and when to begin a sub-map.
 
     Attributes:
-        n_places: Places that look alike to try.
-        recognition: When one is taken for recognised.
+        n_places: Candidate places to try.
+        recognition: When one counts as recognised.
         n_keyframes: Newest keyframes to try where no place was recognised.
         min_matches: Matches that such a keyframe needs.
         reprojection_px: RANSAC's tolerance with them.
         min_inliers: Points that must agree with such a pose before it is refined.
-        patience: Frames that show enough and are not recognised before a sub-map is begun; 0: never.
+        patience: Frames with enough keypoints that are not recognised before a sub-map is begun; 0: never.
     """
 
     n_places: int = bounded(5, least=0)
@@ -222,27 +222,27 @@ class RelocalizerConfig:
     patience: int = bounded(20, least=0)
 
     def build(self, parts: Parts, tracker: Tracker, places: PlaceMemory) -> "Relocalizer":
-        """Return a relocalizer that asks the memory of places and refines its finds with the tracker."""
+        """Return a relocalizer that queries the place index and refines poses with the tracker."""
         return Relocalizer(self, parts, tracker, places)
 
 
 class Relocalizer:
-    """Asked with every frame on which tracking failed. Sieves do not reject while it searches (`Stage.RELOCALIZATION`).
+    """Called with every frame on which tracking failed. Sieves do not reject meanwhile (`Stage.RELOCALIZATION`).
 
-    The place that looks most alike is tried first, wherever the camera was last: matching, PnP, a guided search. Then
-    come the newest keyframes, each with all its descriptors: after a short gap they know more than words do.
+    The most similar place is tried first, independent of the last pose: matching, PnP, a guided search. Then the newest
+        keyframes, each with all its descriptors: after a short gap they work better than words.
     """
 
     def __init__(self, config: RelocalizerConfig, parts: Parts, tracker: Tracker, places: PlaceMemory) -> None:
-        """Keep what recovering needs."""
+        """Store the parts."""
         self.config, self.tracker, self.places, self.seed = config, tracker, places, parts.seed
         self._recognizer = config.recognition.build(parts)
         self._n_in_vain = 0
 
     def recover(self, tracked: Tracked, semantics: Pending[Semantics], world: Map) -> Tracked:
-        """Return the lost frame with a pose, or as it was when nothing recognises it.
+        """Return the lost frame with a pose, or unchanged if it is not recognised.
 
-        After some frames in vain one that shows enough begins a sub-map.
+        After some failures a frame with enough keypoints begins a sub-map.
         """
         found = self.by_place(tracked, semantics, world) or self._by_last_keyframes(tracked, semantics, world)
         if found is None:
@@ -258,7 +258,7 @@ class Relocalizer:
         bag = self.places.bag_of_frame(frame)
         for keyframe in self.places.candidates(bag, at_most=self.config.n_places):
             if int(keyframe) not in index:
-                continue  # culled by another thread just now
+                continue  # culled by another thread meanwhile
             nodes = index.nodes(int(keyframe))
             found = self._recognizer.recognise(frame, bag, int(keyframe), nodes, world)
             located = None if found is None else self._located(tracked, found, semantics, world, Recovery.PLACE)
@@ -289,12 +289,12 @@ class Relocalizer:
     def _located(
         self, tracked: Tracked, found: RecognizedPose, semantics: Pending[Semantics], world: Map, recovery: Recovery
     ) -> Tracked | None:
-        """Return the frame under a pose that its local map confirms."""
+        """Return the frame at a pose that its local map confirms."""
         located = self.tracker.locate(tracked.frame, found.T_cam_world, found.point_ids, semantics, world, recovery)
         return None if located.lost else located
 
     def _anew(self, tracked: Tracked, semantics: Pending[Semantics], world: Map) -> Tracked | None:
-        """Return the frame as the first of a sub-map, when that is due and it shows enough."""
+        """Return the frame as the first of a sub-map, when that is due and it has enough keypoints."""
         if self.config.patience == 0:
             return None
         frame = tracked.frame

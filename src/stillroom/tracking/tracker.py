@@ -1,4 +1,4 @@
-"""The three stages of ORB-SLAM2's tracking, with the match sieve asked at each."""
+"""The three stages of ORB-SLAM2's tracking, with the match sieve called at each."""
 
 from dataclasses import dataclass, field, replace
 
@@ -24,11 +24,11 @@ MAX_KEYFRAMES = 80
 _NEIGHBOURS = 10
 
 
-# The camera goes on as it went.
+# The constant-velocity motion model.
 
 
 class ConstantVelocity:
-    """Remembers the motion between the last two frames."""
+    """Stores the motion between the last two frames."""
 
     def __init__(self) -> None:
         """Start without a velocity."""
@@ -45,7 +45,7 @@ class ConstantVelocity:
         return T_last_world if self._T_cam_last is None else self._T_cam_last @ T_last_world
 
     def update(self, T_world_last: F64, T_world_cam: F64) -> None:
-        """Learn from two neighbouring poses (4, 4)."""
+        """Update from two neighbouring poses (4, 4)."""
         self._T_cam_last = se3.orthonormalize(se3.inverse(T_world_cam) @ T_world_last)
 
     def forget(self) -> None:
@@ -58,7 +58,7 @@ class ConstantVelocity:
 
 @dataclass(frozen=True)
 class LocalMap:
-    """Keyframes that share points with a frame, their neighbours, and all that they see.
+    """Keyframes that share points with a frame, their neighbours, and all their points.
 
     Attributes:
         reference: The keyframe that shares most points.
@@ -98,7 +98,7 @@ def local_map_of(point_ids: I32, fallback: int, world: Map) -> LocalMap:
 
 @dataclass(frozen=True)
 class TrackerConfig:
-    """When tracking trusts what it found (ORB-SLAM2's numbers; docs/reference.md#orb-slam2-tracking).
+    """When tracking accepts a pose (ORB-SLAM2's numbers; docs/reference.md#orb-slam2-tracking).
 
     Attributes:
         min_initial_keypoints: Static keypoints with depth that a first frame must have.
@@ -107,9 +107,9 @@ class TrackerConfig:
         min_keyframe_matches: Matches that the reference-keyframe stage needs.
         min_coarse_inliers: Inliers that either of them needs.
         min_inliers: Inliers that the local-map stage needs.
-        min_inliers_recovered: The same for a second after the camera was lost.
-        local_window: Factor on the search window of the local-map stage. ORB-SLAM2 has 3; with 5 a fast turn of the
-            camera keeps its matches.
+        min_inliers_recovered: The same for a second after tracking was lost.
+        local_window: Factor on the search window of the local-map stage. ORB-SLAM2 has 3; with 5 matches are kept in a
+            fast rotation.
     """
 
     min_initial_keypoints: int = bounded(200, least=0)
@@ -123,13 +123,13 @@ class TrackerConfig:
     pose: PoseOptimizerConfig = field(default_factory=PoseOptimizerConfig)
 
     def build(self, parts: Parts, sieve: MatchSieve, quick: QuickTracking | None = None) -> "Tracker":
-        """Return a tracker that asks the sieve, and starts from a quick pose where there is a part that finds one."""
+        """Return a tracker that calls the sieve, and starts from the pose of low-cost tracking where there is one."""
         return Tracker(self, sieve, quick or NoLowCost())
 
 
 @dataclass(frozen=True)
 class _Fix:
-    """A pose and what agrees with it."""
+    """A pose and its inliers."""
 
     T_cam_world: F64
     point_ids: I32
@@ -142,10 +142,10 @@ class _Fix:
 
 
 class Tracker:
-    """Follows the camera from frame to frame. Asked in order, one frame after the other."""
+    """Tracks the camera from frame to frame. Called in order, one frame after the other."""
 
     def __init__(self, config: TrackerConfig, sieve: MatchSieve, quick: QuickTracking) -> None:
-        """Start without a past."""
+        """Start without earlier frames."""
         self.config, self.sieve, self.quick = config, sieve, quick
         self._optimize = config.pose.build()
         self._velocity = ConstantVelocity()
@@ -154,11 +154,11 @@ class Tracker:
         self._frames_since_recovery = 1 << 30
 
     def track(self, frame: Frame, semantics: Pending[Semantics], world: Map) -> Tracked:
-        """Return where the frame was taken; its state says whether that is known.
+        """Return the frame with its pose, if known; its state says whether it is.
 
         Args:
             frame: The frame, after sieve 1.
-            semantics: What may move in it.
+            semantics: What is potentially dynamic in it.
             world: The map.
         """
         if len(world.keyframes) == 0:
@@ -176,7 +176,7 @@ class Tracker:
         return self._with_local_map(frame, fix, last.reference_keyframe, semantics, world)
 
     def start(self, frame: Frame, semantics: Pending[Semantics], world: Map) -> Tracked:
-        """Return the frame as one that begins a map, or a sub-map where there is one, if enough is seen in it."""
+        """Return the frame as one that begins a map, or a sub-map where there is one, if it has enough keypoints."""
         nothing = np.full(len(frame), -1, dtype=np.int32)
         T_world_cam = submaps.origin(world.n_submaps)
         motion = self.sieve.judge(Question(Stage.LOCAL_MAP, frame, Matches.of(nothing), semantics, T_world_cam, world))
@@ -195,15 +195,15 @@ class Tracker:
         world: Map,
         recovery: Recovery,
     ) -> Tracked:
-        """Refine a pose against the local map that was found after the camera was lost.
+        """Refine a relocalized pose against the local map.
 
         Args:
             frame: The frame.
             T_cam_world: Its pose (4, 4).
-            point_ids: The points (N,) that led to it.
-            semantics: What may move in it.
+            point_ids: The matched points (N,) of that pose.
+            semantics: What is potentially dynamic in it.
             world: The map.
-            recovery: How the pose was found.
+            recovery: How the frame was relocalized.
         """
         matches = Matches.of(point_ids)
         motion = self.sieve.judge(Question(Stage.RELOCALIZATION, frame, matches, semantics, T_cam_world, world))
@@ -214,7 +214,7 @@ class Tracker:
         return replace(tracked, recovery=recovery)
 
     def remember(self, tracked: Tracked, world: Map) -> None:
-        """Take the outcome of a frame, mapping included, as the past of the next one."""
+        """Store the result of a frame, after mapping, for the next one."""
         if tracked.T_world_cam is None:
             self._velocity.forget()
             self._last, self._T_reference_last = None, None
@@ -231,7 +231,7 @@ class Tracker:
         return self._last.reference_keyframe if self._last is not None else 0
 
     def _last_as_known_now(self, world: Map) -> Tracked | None:
-        """Return the last frame with pose and points moved along with what mapping did to the map since."""
+        """Return the last frame with pose and points updated by mapping since."""
         if self._last is None or self._T_reference_last is None:
             return None
         T_world_last = world.keyframe_pose(self._last.reference_keyframe) @ self._T_reference_last
@@ -299,7 +299,7 @@ class Tracker:
         return self.config.min_inliers_recovered if recovering else self.config.min_inliers
 
     def _fix(self, frame: Frame, guess: F64, matches: Matches, motion: Motion, world: Map) -> _Fix:
-        """Optimise the pose over the matches and return which of them agree with it."""
+        """Optimise the pose over the matches and return it with its inliers."""
         kp = frame.keypoints
         right_px = kp.right_px[matches.keypoint]
         estimate = self._optimize(

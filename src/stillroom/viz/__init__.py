@@ -1,1 +1,1 @@
-"""Pictures: of trajectories, and of what the sieves said of a frame."""
+"""Pictures of trajectories, of maps, and of static and dynamic features in frames."""

@@ -31,7 +31,7 @@ COLORS: tuple[Color, ...] = (
     (150, 120, 255),
     (240, 220, 60),
 )
-"""Of clusters: bright, and none of them the red of what moves."""
+"""Of clusters: bright, and none of them the red of dynamic pixels."""
 
 PLANES: Color = (120, 140, 168)
 """Of planes."""
@@ -40,7 +40,7 @@ CLASSES: tuple[Color, ...] = ((255, 196, 0), (54, 162, 255), (0, 200, 140), (214
 """Of boxes, by class."""
 
 FADED = 0.65
-"""How much of the image's own colours is taken away under the clusters'."""
+"""How much the image is desaturated under the clusters' colours."""
 
 CLUSTER_TINT, PLANE_TINT = 0.55, 0.45
 """Share of their colours."""
@@ -60,9 +60,9 @@ def draw_clusters(
 
     Args:
         image: Colours (H, W, 3), RGB, as taken.
-        clusters: What its depth cloud falls into.
-        semantics: What may move; its boxes are drawn.
-        moving: Pixels that do move (H, W); a cluster moves when more than half of its pixels do. None: not known.
+        clusters: The clusters of its depth cloud.
+        semantics: What is potentially dynamic; its boxes are drawn.
+        moving: Dynamic pixels (H, W); a cluster is dynamic when more than half of its pixels are. None: not known.
         scale: How much larger than the image the picture is.
 
     Returns:
@@ -94,7 +94,7 @@ def draw_detections(image: U8, semantics: Semantics, scale: float = 2.0) -> U8:
 
     Args:
         image: Colours (H, W, 3), RGB, as taken.
-        semantics: What may move.
+        semantics: What is potentially dynamic.
         scale: How much larger than the image the picture is.
 
     Returns:
@@ -106,7 +106,7 @@ def draw_detections(image: U8, semantics: Semantics, scale: float = 2.0) -> U8:
         draw_outline(picture, semantics.mask, CLASSES[0])
     classes = sorted({box.label for box in semantics.boxes})
     colors = {label: CLASSES[place % len(CLASSES)] for place, label in enumerate(classes)}
-    # The surest last, and all labels after all edges, so that they can be read.
+    # The most confident last, and all labels after all edges, so that they can be read.
     boxes = sorted(semantics.boxes, key=lambda box: box.confidence)
     for box in boxes:
         draw_box(picture, box, scale, colors[box.label], max(1, round(scale)))
@@ -164,7 +164,7 @@ def _moving_clusters(clusters: Clusters, moving: Bool | None) -> Bool:
 
 
 def _faded(image: U8) -> U8:
-    """Take most of the colour out of an image, and some of the contrast, lest it drown the clusters'."""
+    """Take most of the colour out of an image, and some of the contrast, so that the clusters' colours stand out."""
     gray = cv2.cvtColor(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), cv2.COLOR_GRAY2RGB)
     return np.asarray(cv2.addWeighted(gray, FADED, image, 1.0 - FADED, 0.0), dtype=np.uint8)
 

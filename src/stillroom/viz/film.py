@@ -15,14 +15,14 @@ from stillroom.geometry.arrays import U8
 
 
 CODECS = {".mp4": "mp4v", ".avi": "MJPG"}
-"""OpenCV brings both along."""
+"""OpenCV includes both codecs."""
 
 
 class VideoFile:
     """Writes frames as they come; the file is made with the first, and is whole once closed."""
 
     def __init__(self, path: Path, fps: float) -> None:
-        """Take note of what is wanted.
+        """Store the settings.
 
         Args:
             path: The file, `.mp4` or `.avi`; its folder is made.

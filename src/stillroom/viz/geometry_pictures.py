@@ -83,7 +83,7 @@ def _draw_band(picture: U8, hull_px: F64, band_px: float, scale: float) -> None:
 
 
 def _draw_path(picture: U8, path_px: F64, radius_px: float, scale: float) -> None:
-    """Draw the circles around the nodes, and the way from node to node."""
+    """Draw the circles around the nodes, and the path from node to node."""
     for node in _fixed(path_px, scale):
         cv2.circle(picture, _pair(node), round(radius_px * scale * 2**SHIFT), PATH, 1, cv2.LINE_AA, SHIFT)
     if len(path_px) > 1:
@@ -122,17 +122,17 @@ def _pair(point: I32) -> tuple[int, int]:
 
 
 def _faded(image: U8) -> U8:
-    """Take colour and light out of an image, so that marks stand out."""
+    """Desaturate and darken an image, so that marks stand out."""
     gray = cv2.cvtColor(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), cv2.COLOR_GRAY2RGB)
     faded = cv2.addWeighted(gray, FADED * DARKER, image, (1.0 - FADED) * DARKER, 0.0)
     return np.asarray(faded, dtype=np.uint8)
 
 
-# The earlier image brought to where the present one would have it, and what differs (PSPNet-SLAM, Figure 5).
+# The earlier image warped to the present one, and the difference (PSPNet-SLAM, Figure 5).
 
 
 def compensated(earlier: U8, H_then_now: F64, camera: Camera) -> tuple[U8, Bool]:
-    """Move an earlier image (H, W) to where a homography of undistorted pixels says that it is now, lens included.
+    """Warp an earlier image (H, W) by a homography of undistorted pixels, distortion included.
 
     Returns:
         The image (H, W), and which of its pixels the earlier one saw (H, W).
@@ -147,7 +147,7 @@ def compensated(earlier: U8, H_then_now: F64, camera: Camera) -> tuple[U8, Bool]
 
 
 def draw_difference(now: U8, then: U8, seen: Bool | None = None, scale: float = 1.0) -> U8:
-    """Draw how two images (H, W) differ, dark on white; where the earlier one saw nothing, nothing differs."""
+    """Draw the difference of two images (H, W), dark on white; white where the earlier one has no pixels."""
     difference = np.abs(now.astype(np.float32) - then)
     if seen is not None:
         difference[~seen] = 0.0
@@ -156,12 +156,12 @@ def draw_difference(now: U8, then: U8, seen: Bool | None = None, scale: float = 
 
 
 def draw_moving_points(image: U8, points_px: F64, moves: Bool, is_known: Bool, scale: float = 1.0) -> U8:
-    """Draw what the test says of points: red what moves, green what does not; nothing where it could not tell.
+    """Draw the result of the test of points: dynamic red, static green; unknown ones are left out.
 
     Args:
         image: Colours (H, W, 3), RGB, as taken.
         points_px: Points (N, 2) in it [px].
-        moves, is_known: What the test says (N,), and where it says something.
+        moves, is_known: Which are dynamic (N,), and of which the test has a result.
         scale: How much larger than the image the picture is.
     """
     picture = enlarged(image, scale)

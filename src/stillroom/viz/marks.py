@@ -1,4 +1,4 @@
-"""What pictures of frames are made of: boxes, dots, outlines, legends, drawn in place."""
+"""Elements of pictures of frames: boxes, dots, outlines, legends, drawn in place."""
 
 import cv2
 import numpy as np
@@ -14,7 +14,7 @@ BOX: Color = (255, 255, 255)
 INK: Color = (20, 20, 20)
 
 TINT = 0.30
-"""Share of red in moving pixels."""
+"""Share of red in dynamic pixels."""
 
 TEXT = 0.22
 """Size of letters, for cv2's font, of a picture as large as the image."""
@@ -53,7 +53,7 @@ def draw_outline(picture: U8, mask: Bool, color: Color, thickness_px: int = 1) -
     x, y, width, height = cv2.boundingRect(mask.astype(np.uint8))
     if width == 0:
         return
-    # Only around what there is, for a frame may have many small clusters; with some pixels for the edge's softness.
+    # Only around the mask, for a frame may have many small clusters; with a margin for the soft edge.
     x0, y0 = max(0, x - AROUND_PX), max(0, y - AROUND_PX)
     part = mask[y0 : y + height + AROUND_PX, x0 : x + width + AROUND_PX]
     scale_x, scale_y = picture.shape[1] / mask.shape[1], picture.shape[0] / mask.shape[0]
@@ -78,7 +78,7 @@ def draw_box(picture: U8, box: Box, scale: float, color: Color = BOX, thickness_
 def draw_label(picture: U8, box: Box, scale: float, color: Color = BOX, text_size: float = TEXT) -> None:
     """Write class and confidence of a box above it, or just inside where it reaches the picture's edge."""
     x0, y0, _, _ = _edges_px(box, scale)
-    text = f"{box.label} {box.confidence:.2f}" + (f", carried {box.carried}" if box.carried else "")
+    text = f"{box.label} {box.confidence:.2f}" + (f", propagated {box.carried}" if box.carried else "")
     size = text_size * scale
     (width, height), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, size, 1)
     pad = round(2 * scale)

@@ -1,4 +1,4 @@
-"""What moves, as files for other programs."""
+"""Masks of dynamic pixels, as files for other programs."""
 
 from pathlib import Path
 
@@ -12,7 +12,7 @@ MOVING = 255
 
 
 class MaskWriter:
-    """Writes a mask for each frame, `<name of the colour image>.png`: 8 bits, 255 where something moves, else 0.
+    """Writes a mask for each frame, `<name of the colour image>.png`: 8 bits, 255 where dynamic, else 0.
 
     An image that never was a file is called by its number, `000012.png`. `semantics.kind=mask-files` reads such masks.
     """

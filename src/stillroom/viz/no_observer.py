@@ -1,11 +1,11 @@
-"""The observer of runs that nobody watches."""
+"""The null object of observers."""
 
 from stillroom.data.result import FrameResult, Tracked
 from stillroom.data.semantics import Semantics
 
 
 class NoObserver:
-    """Looks at nothing: stands where an observer may stand, so that no caller asks whether there is one."""
+    """Does nothing, so that no caller has to check whether there is an observer."""
 
     def on_frame(self, tracked: Tracked, semantics: Semantics, result: FrameResult) -> None:
         """Do nothing."""

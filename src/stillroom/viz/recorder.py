@@ -1,4 +1,4 @@
-"""Keeps pictures of chosen frames while a run goes on."""
+"""Writes pictures of chosen frames during a run."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,7 +28,7 @@ VERDICT, CLUSTERS, DETECTIONS = "frame", "clusters", "detections"
 KINDS = (VERDICT, CLUSTERS, DETECTIONS)
 
 
-# A frame with the verdict drawn on it: what moves in red, what stays in green.
+# A frame with its features: dynamic in red, static in green.
 
 
 def draw_verdict(
@@ -40,18 +40,18 @@ def draw_verdict(
     moving: Bool,
     scale: float = 2.0,
 ) -> U8:
-    """Draw a verdict on an image.
+    """Draw static and dynamic features on an image.
 
     Moving keypoints are red dots; static ones are green, dots where they have a map point and small rings where
-    they have none. What moves is tinted, boxes have thin edges and a label, the counts stand in the corner.
+    they have none. Dynamic pixels are tinted, boxes have thin edges and a label, the counts are in the corner.
 
     Args:
         image: Colours (H, W, 3), RGB, as taken.
         keypoints_raw_px: Keypoints (N, 2) in the image as taken [px].
-        is_static: Verdict on them (N,).
+        is_static: Which of them are static (N,).
         is_matched: Which of them have a map point (N,).
-        semantics: What may move.
-        moving: Pixels that do move (H, W).
+        semantics: What is potentially dynamic.
+        moving: Dynamic pixels (H, W).
         scale: How much larger than the image the picture is.
 
     Returns:
@@ -82,10 +82,10 @@ class PictureRecorderConfig:
     """Which frames are drawn, and how.
 
     Attributes:
-        every: Every how many frames of the sequence one is drawn, counted by its index; 0 for none.
+        every: Stride of the frames that are drawn, by their index; 0 for none.
         frames: Indices of further frames to draw.
         scale: How much larger than the image a picture is.
-        kinds: What is drawn of a frame: "frame" (the verdict on it), "clusters" (where somebody looked for some),
+        kinds: What is drawn of a frame: "frame" (its static and dynamic features), "clusters" (where there are some),
             "detections".
     """
 
@@ -108,7 +108,7 @@ class PictureRecorder:
     """Writes `frame_00042.png`, `clusters_00042.png` and so on for the chosen frames of a run."""
 
     def __init__(self, config: PictureRecorderConfig, folder: Path) -> None:
-        """Take note of the folder; it is made when the first picture is."""
+        """Store the folder; it is made with the first picture."""
         self._config = config
         self._folder = folder
         self._frames = frozenset(config.frames)

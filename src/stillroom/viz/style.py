@@ -52,7 +52,7 @@ _RC: dict[str, Any] = {
 
 @contextmanager
 def picture(path: Path, width_in: float, height_in: float) -> Iterator[Any]:
-    """Give a matplotlib figure in the house style, and write it as PNG when the block ends well.
+    """Yield a matplotlib figure in the package's style, and write it as PNG when the block ends without error.
 
     No display is needed and no global state is touched: plots may be drawn on any thread of a server.
 

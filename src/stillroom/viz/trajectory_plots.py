@@ -13,7 +13,7 @@ from stillroom.viz.style import ESTIMATES, TRUTH, picture
 AXES = "xyz"
 
 GAP_STEPS = 5.0
-"""A line breaks where the next pose is later than this many median steps: nothing is drawn where nothing is known."""
+"""A line breaks where the next pose is later than this many median steps: gaps are not drawn."""
 
 
 def plot_from_above(path: Path, estimates: Mapping[str, Trajectory], groundtruth: Trajectory, title: str = "") -> None:
@@ -21,7 +21,7 @@ def plot_from_above(path: Path, estimates: Mapping[str, Trajectory], groundtruth
 
     Args:
         path: The PNG to write.
-        estimates: Trajectories laid upon the ground truth, by the name that the legend shows; at least one.
+        estimates: Trajectories aligned with the ground truth, by their name in the legend; at least one.
         groundtruth: The true one, of at least one pose.
         title: Shown above.
     """
@@ -65,12 +65,12 @@ def plot_error(
     still_camera_m: float | None = None,
     title: str = "",
 ) -> None:
-    """Draw the distance to the truth over time, and the line that a camera which never moved has.
+    """Draw the distance to the truth over time, and the static-pose baseline as a line.
 
     Args:
         path: The PNG to write.
         errors: By name, times (N,) [s] and errors (N,) [m]; at least one, of at least one pose.
-        still_camera_m: RMSE of a camera that never moved [m]; above it an estimate is worse than none.
+        still_camera_m: RMSE of the static-pose baseline [m]; above it an estimate is worse than none.
         title: Shown above.
     """
     start_s = min(float(times_s[0]) for times_s, _ in errors.values())
@@ -80,7 +80,7 @@ def plot_error(
             shown_s, shown_m = _with_breaks(times_s, errors_m[:, None])
             axes.plot(shown_s - start_s, shown_m[:, 0], color=color, label=name)
         if still_camera_m is not None:
-            label = f"a camera that never moved ({still_camera_m:.3f} m)"
+            label = f"static-pose baseline ({still_camera_m:.3f} m)"
             axes.axhline(still_camera_m, color=TRUTH, lw=1.2, ls=(0, (4, 3)), label=label)
         axes.set(xlabel="time [s]", ylabel="error [m]", title=title)
         axes.set_ylim(bottom=0.0)

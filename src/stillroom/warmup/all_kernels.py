@@ -1,4 +1,4 @@
-"""All kernels, and how they are got ready: by doing everything once that a run does, on a made-up scene."""
+"""All kernels, and their compilation: by running every part once, on a synthetic scene."""
 
 import hashlib
 import logging
@@ -21,17 +21,17 @@ from stillroom.warmup import work
 
 logger = logging.getLogger(__name__)
 PACKAGES = "stillroom", "stillroom_scenes"
-"""Whose kernels are counted: the core's, and the renderer's where a room is rendered."""
+"""Packages whose kernels count: the core, and the renderer where a room is rendered."""
 
 
-# A mark, beside the compiled kernels, that all of them are there.
+# A stamp file in the kernel cache: all kernels are compiled.
 
 
 def is_warm(renderer: bool = False) -> bool:
     """Return whether a warm-up of these sources has been done on this machine.
 
     Args:
-        renderer: Whether the synthetic room's kernels are asked for too.
+        renderer: Whether the synthetic room's kernels are needed too.
     """
     folder = kernel_cache()
     try:
@@ -41,7 +41,7 @@ def is_warm(renderer: bool = False) -> bool:
 
 
 def leave_stamps(renderer: bool) -> None:
-    """Note that a warm-up has been done, if what it compiled is kept; arguments as in `is_warm`."""
+    """Write the stamp of a warm-up, if its kernels are kept; arguments as in `is_warm`."""
     folder = kernel_cache()
     if folder is None or not is_kept():
         return
@@ -66,18 +66,18 @@ def _stamp(renderer: bool) -> str:
 
 
 class WarmUpProgress(Protocol):
-    """Told which kernel is being compiled."""
+    """Callback for the kernel that is being compiled."""
 
     def __call__(self, kernel: str, done: int, total: int) -> None:
-        """Take note that at least `done` of `total` kernels are ready and this one is next; "" at the end."""
+        """Report that at least `done` of `total` kernels are compiled and this one is next; "" at the end."""
 
 
 @dataclass(frozen=True)
 class WarmUp:
-    """What a warm-up did.
+    """The result of a warm-up.
 
     Attributes:
-        n_kernels: Kernels that are ready now.
+        n_kernels: Kernels that are compiled now.
         n_compiled: How many of them were compiled; the others came from the cache.
         seconds: How long it took [s].
     """
@@ -91,7 +91,7 @@ def warm_up(progress: WarmUpProgress | None = None, renderer: bool = False) -> W
     """Compile all kernels, or load them where they are in the cache.
 
     Args:
-        progress: Told of each kernel.
+        progress: Called for each kernel.
         renderer: Whether to compile the synthetic room's kernels too.
     """
     start_s = time.perf_counter()
@@ -122,7 +122,7 @@ def _name(kernel: Any) -> str:
 
 @contextmanager
 def _listening(progress: WarmUpProgress | None) -> Iterator[list[str]]:
-    """Give a list that grows by the name of each kernel that numba compiles, and report them."""
+    """Yield a list that receives the name of each kernel that numba compiles, and report them."""
     compiled: list[str] = []
 
     class Listener(event.Listener):  # type: ignore[misc] # numba has no types

@@ -1,4 +1,4 @@
-"""What calls the kernels: a run with every part, its maps, their pictures, exports and figures, and the renderer."""
+"""Calls of all kernels: a run with every part, its maps, their pictures, exports and figures, and the renderer."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -45,9 +45,9 @@ CAMERA = Camera(640, 480, 525.0, 525.0, 319.5, 239.5, depth_factor=5000.0, bf=40
 N_IMAGES = 10
 PERSON = Box(260.0, 120.0, 380.0, 400.0, "person", confidence=1.0)
 PERSON_M = 1.8
-"""So near to the wall that what he leaves behind there is looked for. He walks as fast as the camera."""
+"""Near enough to the wall that ghosts there are searched. The person walks as fast as the camera."""
 ROUND = 0.8
-"""Depth of what is round, as a share of its width: it must not be taken for a plane."""
+"""Depth of what is round, as a share of its width: it must not count as a plane."""
 RENDERED = ("synthetic:walking,frames=1,cache=off", "synthetic:walking,frames=1,cache=off,noise=off")
 PICTURE_PX = 96, 64
 CORRECTION_M = 0.05
@@ -59,7 +59,7 @@ PILLAR_M, PILLAR_PX = 1.4, 45
 """How near the pillar stands, and half its width."""
 
 
-# A made-up scene: a wall that a camera glides along, something that stands before it, and something that moves.
+# A synthetic scene: a wall that a camera glides along, something that stands before it, and something that moves.
 
 
 def images() -> Iterator[RgbdImage]:
@@ -105,7 +105,7 @@ def _texture(seed: int, height: int, width: int) -> U8:
 
 
 def do_everything() -> None:
-    """Track the made-up scene with all parts there are, and do with the maps what can be done with them."""
+    """Track the synthetic scene with all parts, and run all operations on its maps."""
     system = track()
     recognise(system)
     reduce_sparsely()
@@ -132,7 +132,7 @@ def track() -> System:
 
 
 def recognise(system: System) -> None:
-    """Make a small vocabulary of the keyframes, and ask which of them looks like the newest."""
+    """Make a small vocabulary of the keyframes, and query which of them is most similar to the newest."""
     world, index = system.map, system.places.index
     newest = int(world.alive_keyframes()[-1])
     descriptors = world.keypoints.descriptors[world.rows(newest)]
@@ -203,7 +203,7 @@ def render() -> None:
 
 @dataclass(frozen=True)
 class EverySieveConfig:
-    """Every part that says what does move."""
+    """All match sieves."""
 
     def build(self, parts: Parts) -> "EverySieve":
         """Return the sieve."""
@@ -214,22 +214,22 @@ class EverySieveConfig:
 
 
 class EverySieve:
-    """Puts each question to all sieves, and answers as one of them."""
+    """Calls all sieves, and returns the result of one of them."""
 
     def __init__(self, spokesman: MatchSieve, others: list[MatchSieve], world: Map) -> None:
         """Take them."""
         self._spokesman, self._others = Asking(spokesman, world), [Asking(sieve, world) for sieve in others]
 
     def judge(self, question: Question) -> Motion:
-        """Judge as the spokesman does."""
+        """Return the result of the chosen sieve."""
         for sieve in self._others:
             sieve.judge(question)
         return self._spokesman.judge(question)
 
     def remember(self, frame: Frame, T_cam_world: F64, keyframe: int) -> None:
-        """Hand the frame on to all of them."""
+        """Pass the frame to all of them."""
         for sieve in (self._spokesman, *self._others):
             sieve.remember(frame, T_cam_world, keyframe)
 
     def corrected(self, T_new_old: F64) -> None:
-        """Do nothing: each is led on its own."""
+        """Do nothing: each has its own life cycle."""

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from stillroom.dynamics.ants.comparison import PointSet, compare, total
-from stillroom.dynamics.ants.search import ReverseSearchConfig, ScentConfig
+from stillroom.dynamics.ants.search import PheromoneMapConfig, ReverseSearchConfig
 
 POINTS = np.random.default_rng(0).uniform((0, 0), (640, 480), (700, 2))
 MOVES = np.linalg.norm(POINTS - (300, 250), axis=1) < 70
-NEW = ReverseSearchConfig(scent=ScentConfig(enabled=False))
+NEW = ReverseSearchConfig(scent=PheromoneMapConfig(enabled=False))
 
 
 def points(moves: np.ndarray = MOVES, **more: object) -> PointSet:

@@ -6,7 +6,7 @@ import pytest
 
 from stillroom.dynamics.ants.colony import PathConfig
 from stillroom.dynamics.ants.communities import convex_hull, within
-from stillroom.dynamics.ants.search import ReverseSearchConfig, ScentConfig, exhaustive, first_node_near, search
+from stillroom.dynamics.ants.search import PheromoneMapConfig, ReverseSearchConfig, exhaustive, first_node_near, search
 
 CONFIG = ReverseSearchConfig()
 
@@ -94,7 +94,7 @@ def test_with_a_past_more_is_found_than_on_a_first_image() -> None:
     first, later, tested = [], [], []
     for seed in range(6):
         points, moves = scene(seed)
-        ants, alone = CONFIG.build(), ReverseSearchConfig(scent=ScentConfig(enabled=False)).build()
+        ants, alone = CONFIG.build(), ReverseSearchConfig(scent=PheromoneMapConfig(enabled=False)).build()
         for step in range(12):
             walked = points + np.where(moves[:, None], (2.0 * step, 0.5 * step), 0.0)
             found = ants.search(walked, Asked(moves))

@@ -15,7 +15,7 @@ from stillroom.data.motion import Motion, Stage
 from stillroom.data.semantics import Semantics, nothing
 from stillroom.datasets.open import open_dataset
 from stillroom.datasets.selection import select
-from stillroom.dynamics.ants.search import ReverseSearchConfig, ScentConfig
+from stillroom.dynamics.ants.search import PheromoneMapConfig, ReverseSearchConfig
 from stillroom.dynamics.homography.compensation import CompensationConfig, choose_probes
 from stillroom.dynamics.homography.homography_sieve import CompensatedHomographyConfig, CompensatedHomographySieve, fill
 from stillroom.dynamics.homography.past import Past, view_of
@@ -81,7 +81,7 @@ def test_what_moves_is_found_without_a_network_and_what_stands_is_left_alone(see
 
 
 def test_the_search_finds_what_testing_everything_does(seen: list) -> None:
-    forgetful = ReverseSearchConfig(scent=ScentConfig(rho=0.8))  # three images are few
+    forgetful = ReverseSearchConfig(scent=PheromoneMapConfig(rho=0.8))  # three images are few
     config = CompensatedHomographyConfig(ants=forgetful)
     both = [run(replace(config, search=search), seen)[1:] for search in ("reverse", "exhaustive")]
     moving = [np.concatenate([~motion.is_static for motion in motions]) for motions in both]

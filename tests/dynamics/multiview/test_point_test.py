@@ -21,10 +21,10 @@ from stillroom.dynamics.multiview.multiview_kernels import (
     UNSEEN,
     Growth,
     Here,
+    KeyframeDepths,
     Limits,
     Points,
     PointVerdicts,
-    There,
     grow,
     judge_points,
     project,
@@ -109,7 +109,7 @@ def plain_verdict(point_world_m: np.ndarray, k: int, depth_m: np.ndarray, small_
     return DYNAMIC if confirmed else UNCONFIRMED
 
 
-def scene(camera: Camera, n: int) -> tuple[Here, There, Points, np.ndarray, np.ndarray]:
+def scene(camera: Camera, n: int) -> tuple[Here, KeyframeDepths, Points, np.ndarray, np.ndarray]:
     """A present image of terraces, two keyframes of others, and points all over; with the keyframes' own pixels."""
     rng = np.random.default_rng(5)
     depth_m = terraces(1, (camera.height, camera.width), 16)
@@ -121,7 +121,9 @@ def scene(camera: Camera, n: int) -> tuple[Here, There, Points, np.ndarray, np.n
     centres_m = np.stack(
         [se3.transform(T, np.stack((V[:3, 3], HERE[:3, 3]))) for T, V in zip(T_cam_world, VIEWS, strict=True)]
     )
-    there = There(np.stack([with_neighbours(m) for m in small_m]), T_cam_world, se3.inverse(HERE) @ VIEWS, centres_m)
+    there = KeyframeDepths(
+        np.stack([with_neighbours(m) for m in small_m]), T_cam_world, se3.inverse(HERE) @ VIEWS, centres_m
+    )
     px = np.stack((rng.uniform(-30, 670, n), rng.uniform(-30, 510, n)), axis=1)
     z_m = np.where(rng.random(n) < 0.04, rng.uniform(-2.0, 0.1, n), rng.uniform(1.2, 4.3, n))
     points_cam = camera.back_project(px, z_m)
@@ -210,7 +212,9 @@ def test_regions_grow_as_a_plain_search_grows_them(growth: Growth) -> None:
     depth_m = np.where(rng.random(depth_m.shape) < 0.1, 0.0, depth_m).astype(np.float32)
     seeds = np.stack((rng.integers(0, 160, 25), rng.integers(0, 60, 25)), axis=1).astype(np.int32)
     here = Here(depth_m, np.zeros((120, 160, 2), np.float32), np.eye(4), CAMERA.lens)
-    there = There(np.zeros((0, 1, 1, 3), np.float32), np.zeros((0, 4, 4)), np.zeros((0, 4, 4)), np.zeros((0, 2, 3)))
+    there = KeyframeDepths(
+        np.zeros((0, 1, 1, 3), np.float32), np.zeros((0, 4, 4)), np.zeros((0, 4, 4)), np.zeros((0, 2, 3))
+    )
     region = np.zeros(depth_m.shape, np.uint8)
     grow(seeds, here, there, growth, LIMITS, np.empty((depth_m.size, 2), np.int32), region)
     expected = plain_regions(depth_m, seeds, growth)
@@ -225,7 +229,7 @@ def test_regions_stop_at_what_keyframes_saw_there() -> None:
     before[90:] = 2.0  # ... and what the figure's feet stand on
     here = Here(depth_m, rays_of(CAMERA, 2), np.eye(4), CAMERA.lens)
     views = np.stack([with_neighbours(before)] * 3)
-    there = There(views, np.stack([np.eye(4)] * 3), np.stack([np.eye(4)] * 3), np.zeros((3, 2, 3)))
+    there = KeyframeDepths(views, np.stack([np.eye(4)] * 3), np.stack([np.eye(4)] * 3), np.zeros((3, 2, 3)))
     region = np.zeros(depth_m.shape, np.uint8)
     seeds = np.array([[160, 20]], np.int32)
     growth = Growth(0.2, 0.0, 0.1, 0.0, 1, 0.0)

@@ -199,5 +199,5 @@ def test_a_tree_that_leads_nowhere_is_refused(trained: tuple[Vocabulary, np.ndar
     for name, first_child in (("wild", wild), ("circular", circular)):
         bad = Vocabulary(good.centres, first_child, good.n_children, good.word, good.idf)
         bad.save(tmp_path / name)
-        with pytest.raises(VocabularyError, match="does not hold together"):
+        with pytest.raises(VocabularyError, match="inconsistent"):
             load_vocabulary(tmp_path / name)

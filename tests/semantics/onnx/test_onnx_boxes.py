@@ -238,7 +238,7 @@ EIGHT = np.zeros((1, 9, 30), np.float32)
         ({"o": EIGHT}, {"classes": COCO_CLASSES, "movable": ("person",)}, r"promise \(1, 84, boxes\); set .* classes"),
         ({"o": EIGHT}, {"layout": "nms"}, r"promise \(1, boxes, 6\) or \(boxes, 6\)"),
         ({"o": EIGHT}, {"layout": "detections"}, "promise boxes .* labels .* scores"),
-        ({"o": EIGHT + 3}, {}, "tells a score of 3; scores must be probabilities"),
+        ({"o": EIGHT + 3}, {}, "returns a score of 3; scores must be probabilities"),
         ({"o": np.array([[0, 0, 9, 9, 0.9, 5]], np.float32)}, {"layout": "nms"}, "class 5, where 5 classes are named"),
         (
             {"b": np.zeros((4, 4), np.float32), "l": np.zeros(4, np.int64), "s": np.zeros(3, np.float32)},

@@ -1,11 +1,11 @@
-"""`stillroom bench`: accuracy over seeds, what rejection is worth, what a frame costs, and ghosts in the map."""
+"""`stillroom bench`: accuracy over seeds, the benefit of rejection, time per frame, and ghosts in the map."""
 
 import typer
 
 from stillroom.cli.bench.geometry import ablation, geometry
 from stillroom.cli.bench.trials import accuracy, ghosts, parts, rejection, speed
 
-HELP = "Measure accuracy, the worth of rejection, speed, and ghosts."
+HELP = "Measure accuracy, the benefit of rejection, speed, and ghosts."
 
 app = typer.Typer(no_args_is_help=True, help=HELP)
 for command in (accuracy, rejection, parts, speed, ghosts, geometry, ablation):

@@ -1,4 +1,4 @@
-"""`stillroom bench geometry` and `ablation`: what the ants save, and what each part is worth."""
+"""`stillroom bench geometry` and `ablation`: what the ants save, and what each part contributes."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -9,7 +9,7 @@ import typer
 from stillroom.bench import ablation as combining
 from stillroom.bench.ablation import Ablated
 from stillroom.bench.geometry_table import HEADER, GeometryTable, geometry_table, write_geometry_picture
-from stillroom.bench.onlookers import GeometryTrialConfig, MovingThings
+from stillroom.bench.observers import GeometryTrialConfig, MovingThings
 from stillroom.cli.arguments import Settings
 from stillroom.cli.bench.session import Bench, Camera, Frames, Out, Runs, Sequences
 from stillroom.cli.output import print_lines, say
@@ -27,7 +27,7 @@ def geometry(
     method: Annotated[str, typer.Option(metavar="NAME", help="The preset that tracks the camera.")] = "pspnet-slam",
     network: Annotated[
         bool,
-        typer.Option("--network", help="Leave out what the network masks; else the people are geometry's to find."),
+        typer.Option("--network", help="Leave out what the network masks; else geometry must find the people."),
     ] = False,
     picture: Annotated[
         Path | None, typer.Option(metavar="PNG", help="Draw the compensation and the ants' path of an image.")
@@ -50,7 +50,7 @@ def geometry(
     bench = Bench("geometry", out)
     for sequence in sequences:
         dataset = bench.open(Source(sequence, camera, frames=frames))
-        warm_up()  # also when they are compiled: loading them is no cost of the first image
+        warm_up()  # also when they are compiled: loading must not count for the first image
 
         for table in bench.each({method: config}, _measuring(bench, dataset, trial)):
             bench.print_table(dataset.name, HEADER, table.rows())
@@ -76,7 +76,7 @@ def _measuring(
 
 def ablation(
     sequences: Sequences,
-    method: Annotated[str, typer.Option(metavar="NAME", help="The preset whose parts are on trial.")] = "pspnet-slam",
+    method: Annotated[str, typer.Option(metavar="NAME", help="The preset whose parts are compared.")] = "pspnet-slam",
     runs: Runs = 1,
     only: Annotated[
         str | None, typer.Option(metavar="A,B", help="Run these rows only, by parts of their names.")

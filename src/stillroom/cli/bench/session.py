@@ -51,13 +51,13 @@ class Bench:
         self._stopped = False
 
     def open(self, source: Source) -> Dataset:
-        """Open a sequence and see to it that the kernels are compiled."""
+        """Open a sequence and make sure that the kernels are compiled."""
         dataset = source.open()
         ensure_warm(STDERR, rendered(dataset) is not None)
         return dataset
 
     def each(self, configs: dict[str, SlamConfig], measure: Callable[[str, SlamConfig], R]) -> list[R]:
-        """Measure each config; those that are done by then when the user stops it."""
+        """Measure each config; when the user stops it, those that are done."""
         done: list[R] = []
         try:
             for name, config in configs.items() if not self._stopped else ():
@@ -69,7 +69,7 @@ class Bench:
     def seeds_of(
         self, dataset: Dataset, runs: int, withheld: tuple[FrameRange, ...] = ()
     ) -> Callable[[str, SlamConfig], Accuracy]:
-        """Return what runs a config on a sequence with each seed; see `attempt` for what is withheld."""
+        """Return a function that runs a config on a sequence with each seed; see `attempt` for what is withheld."""
 
         def measure(name: str, config: SlamConfig) -> Accuracy:
             trials = []
@@ -87,7 +87,7 @@ class Bench:
         print_table(header, rows)
 
     def keep(self, rows: list[dict[str, Any]]) -> None:
-        """Take figures for the file."""
+        """Keep figures for the file."""
         self._rows += rows
 
     def finish(self) -> None:

@@ -1,4 +1,4 @@
-"""`stillroom bench accuracy`, `rejection`, `parts` and `speed`: what is learnt from running methods again and again."""
+"""`stillroom bench accuracy`, `rejection`, `parts` and `speed`: repeated runs of methods."""
 
 from pathlib import Path
 from typing import Annotated
@@ -26,12 +26,12 @@ from stillroom.warmup import warm_up
 PRESETS = "orb-slam2,oc-slam"
 
 
-# `stillroom bench ghosts`: what moving things leave behind in the dense map.
+# `stillroom bench ghosts`: what moving objects leave in the dense map.
 
 
 def ghosts(
     sequence: Sequence1,
-    method: Annotated[str, typer.Option(metavar="NAME", help="The preset whose dense map is on trial.")] = "oc-slam",
+    method: Annotated[str, typer.Option(metavar="NAME", help="The preset whose dense map is evaluated.")] = "oc-slam",
     reference: Annotated[
         str | None,
         typer.Option(metavar="A:B", help="Frames that see the room empty; 0:200, on rendered sequences the truth."),
@@ -48,7 +48,7 @@ def ghosts(
 ) -> None:
     """Map some frames with and without removing what moves: ghosts, completeness, surface error.
 
-    Real maps are held against the free space that the reference frames saw, rendered ones against the truth.
+    Real maps are compared with the free space that the reference frames saw, rendered ones with the truth.
     """
     config = configure(method, None, settings or ())
     bench = Bench("ghosts", out)
@@ -92,7 +92,7 @@ def accuracy(
 
 def rejection(
     sequence: Sequence1,
-    method: Annotated[str, typer.Option(metavar="NAME", help="The preset whose sieve is on trial.")] = "oc-slam",
+    method: Annotated[str, typer.Option(metavar="NAME", help="The preset whose sieve is compared.")] = "oc-slam",
     runs: Runs = 1,
     frames: Frames = None,
     camera: Camera = None,
@@ -114,7 +114,7 @@ def rejection(
 
 def parts(
     sequence: Sequence1,
-    method: Annotated[str, typer.Option(metavar="NAME", help="The preset whose parts are on trial.")] = "oc-slam",
+    method: Annotated[str, typer.Option(metavar="NAME", help="The preset whose parts are compared.")] = "oc-slam",
     runs: Runs = 1,
     frames: Frames = None,
     camera: Camera = None,
@@ -123,7 +123,7 @@ def parts(
 ) -> None:
     """Compare neither boxes nor clusters, each alone, both, and both with the detector failing half the time.
 
-    It fails every second second from the first image on in which it sees something; carried boxes are withheld too.
+    It fails every second second from the first image with a detection on; propagated boxes are withheld too.
     """
     configs = combining.parts(configure(method, None, settings or ()))
     bench = Bench("parts", out)
@@ -150,13 +150,13 @@ def speed(
 ) -> None:
     """Time each stage and the whole frame, in milliseconds and in units of one cv2.ORB_create(1000).detectAndCompute.
 
-    Reading the images is not counted; network and mapping are. A stage includes those that it calls: tracking holds
-    dynamics, the frame holds all.
+    Reading the images is not counted; network and mapping are. A stage includes those that it calls: tracking includes
+    dynamics, the frame all.
     """
     configs = _configs(methods, settings)
     bench = Bench("speed", out)
     dataset = UnitMeter(bench.open(Source(sequence, camera, frames=frames)))
-    warm_up()  # also when they are compiled: loading them is no cost of the first frame
+    warm_up()  # also when they are compiled: loading must not count for the first frame
 
     def measure(name: str, config: SlamConfig) -> Speed:
         bench.bar.label = name

@@ -1,4 +1,4 @@
-"""The map is arrays with integer ids; keyframes and points are rows."""
+"""The sparse map: arrays with integer ids, in which keyframes and points are rows."""
 
 from stillroom.data.map.map import Covisibility, Map
 

@@ -1,4 +1,4 @@
-"""A closed loop moves the newest part of the map at once; whoever remembers where things were must move along."""
+"""A closed loop moves the newest part of the map at once; every part that stores poses must be corrected too."""
 
 import numpy as np
 
@@ -10,11 +10,11 @@ class JumpFollower:
     """Returns each jump of a map once."""
 
     def __init__(self) -> None:
-        """Start in a map that has not jumped yet, or whose jumps nothing here remembers."""
+        """Start with the map as it is: no correction before this moment is reported."""
         self._n_followed: int | None = None
 
     def missed(self, world: Map) -> F64 | None:
-        """Return the motion (4, 4) of the world's coordinates since this was asked last; None where there was none."""
+        """Return the motion (4, 4) of the world's coordinates since the last call; None where there was none."""
         n_followed = len(world.jumps) if self._n_followed is None else self._n_followed
         self._n_followed = len(world.jumps)
         missed = world.jumps[n_followed:]

@@ -13,7 +13,7 @@ MAX_DESCRIPTORS = 20
 
 
 class Links(NamedTuple):
-    """Who sees what, as lists.
+    """The observations of all points, as linked lists.
 
     Attributes:
         point: The point that each row sees (R,), −1 for none.
@@ -29,7 +29,7 @@ class Links(NamedTuple):
 
 
 class Counts(NamedTuple):
-    """How often each point is seen (P,): with depth twice, and by how many keyframes."""
+    """Observations of each point (P,), where one with depth counts twice; and the number of keyframes that see it."""
 
     n_observations: I32
     n_keyframes: I32
@@ -46,7 +46,7 @@ class Viewing(NamedTuple):
 
 @njit(nogil=True, cache=True)
 def link(points: I32, rows: I64, links: Links, row_right_px: F32, counts: Counts) -> int:
-    """Let each row see its point, unless it sees one already or its keyframe sees the point; count the links."""
+    """Link each row to its point, unless it has one already or its keyframe sees the point; count the links."""
     row_point, row_next, row_keyframe, first_row = links
     n_observations, n_keyframes = counts
     linked = 0
@@ -70,7 +70,7 @@ def link(points: I32, rows: I64, links: Links, row_right_px: F32, counts: Counts
 
 @njit(nogil=True, cache=True)
 def unlink(rows: I64, links: Links, row_right_px: F32, counts: Counts) -> None:
-    """Let each row see nothing."""
+    """Remove the link of each row."""
     row_point, row_next, _, first_row = links
     n_observations, n_keyframes = counts
     for i in range(len(rows)):

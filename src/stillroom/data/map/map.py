@@ -12,13 +12,13 @@ from stillroom.geometry import se3
 from stillroom.geometry.arrays import F32, F64, I32, I64, Bool, Ints
 from stillroom.geometry.hamming import words
 
-# Sets of points without a pass over the whole map: what was met is marked with a number that is new each time.
+# Sets of points without a pass over the whole map: members are marked with a number that is new for each set.
 
 
 class Marks(threading.local):
     """Marks of the calling thread, so that tracking and mapping may ask at the same time.
 
-    Clearing a flag for every point would cost more with every keyframe; a mark of yesterday is simply another number.
+    Clearing a flag for every point would cost more with every keyframe; an old mark is simply another number.
     """
 
     def __init__(self) -> None:
@@ -71,7 +71,7 @@ class Covisibility:
 
     Attributes:
         min_weight: Edges weaker than this are left out unless a keyframe would have none.
-        unsaved: Keyframes whose edges changed since the map was last written to disk: whoever writes it empties it.
+        unsaved: Keyframes whose edges changed since the map was last written to disk; the writer clears it.
     """
 
     def __init__(self, min_weight: int = 15) -> None:
@@ -148,8 +148,8 @@ class Map:
         scales: The pyramid of the keypoints.
         keyframes, keypoints, points: The tables; see `tables`.
         covisibility: Which keyframes see the same points.
-        lock: Held by whoever changes the map from a thread of its own, as a closed loop does.
-        jumps: Motions (4, 4) of the world's coordinates around the newest keyframe, each done at once by a correction
+        lock: Held while another thread changes the map, as loop closing does.
+        jumps: Motions (4, 4) of the world's coordinates around the newest keyframe, each from one correction
             of the map; see `jumps.JumpFollower`.
         loop_edges: Keyframes that closed loops: the one that knew the place, the one that came back.
     """
@@ -184,8 +184,8 @@ class Map:
             frame: The frame; its image is not kept.
             T_world_cam: Pose (4, 4).
             point_ids: Point that each keypoint sees (N,), −1 for none.
-            is_static: Verdict on each keypoint (N,); the others never make or see a point.
-            parent: Keyframe that it hangs on; −1 for one that begins a sub-map, as the first does.
+            is_static: Which keypoints (N,) are static; the others never create or observe a point.
+            parent: Its parent in the spanning tree; −1 for the first keyframe of a sub-map.
             p_static: Probability that each keypoint is static (N,); 1 where not given.
 
         Returns:
@@ -221,13 +221,13 @@ class Map:
 
     @property
     def n_submaps(self) -> int:
-        """How many sub-maps were begun; their ids are never used again."""
+        """Number of sub-maps created so far; ids are never reused."""
         self._n_submaps = max(self._n_submaps, int(self.keyframes.submap.max(initial=-1)) + 1)
         return self._n_submaps
 
     @property
     def lists(self) -> links.Links:
-        """Who sees what, as kernels take it; no view outlives a growth."""
+        """The observations, as kernels take them; views are invalid after a table grows."""
         table = self.keypoints
         return links.Links(table.point, table.next_row, table.keyframe, self.points.first_row)
 
@@ -259,7 +259,7 @@ class Map:
         return np.flatnonzero(self.keyframes.is_alive)
 
     def remove_keyframe(self, keyframe: int) -> None:
-        """Cull a keyframe: what it saw is unseen, frames hung on it hang on its parent from now on."""
+        """Cull a keyframe: its observations are removed; frames that refer to it keep a pose by its parent."""
         parent = int(self.keyframes.parent[keyframe])
         T_world_parent = self.keyframe_pose(parent)
         T_world_cam = self.keyframes.T_world_cam[keyframe]
@@ -279,7 +279,7 @@ class Map:
         return pose
 
     def connect(self, keyframe: int) -> None:
-        """Count again with which keyframes this one shares points."""
+        """Update the covisibility edges of a keyframe."""
         self.covisibility.connect(keyframe, self.count_shared(self.points_of(keyframe)))
 
     def count_shared(self, point_ids: I32) -> I32:
@@ -305,7 +305,7 @@ class Map:
         return ids
 
     def observe(self, point_ids: Ints, rows: Ints) -> int:
-        """Let rows (N,) see points (N,); a keyframe sees a point at most once. Return how many links were made."""
+        """Add observations of points (N,) by rows (N,); a keyframe observes a point once. Return their number."""
         table, points = self.keypoints, self.points
         points.is_unsaved[point_ids] = True
         self.keyframes.is_unsaved[table.keyframe[rows]] = True
@@ -320,7 +320,7 @@ class Map:
         )
 
     def remove_observations(self, rows: Ints) -> None:
-        """Let rows (N,) see nothing; of these points those with at most two observations left are removed.
+        """Remove the observations of rows (N,); points with at most two observations left are removed.
 
         One with depth counts as two (docs/reference.md#orb-slam2-mapping), so one view that is left is never enough.
         """
@@ -330,13 +330,13 @@ class Map:
         self.remove_points(touched[self.points.n_observations[touched] <= 2])
 
     def remove_points(self, point_ids: Ints) -> None:
-        """Remove points (N,) and all that saw them."""
+        """Remove points (N,) and their observations."""
         self._unlink(self.observations(point_ids)[1])
         self.points.is_alive[point_ids] = False
         self.points.is_unsaved[point_ids] = True
 
     def replace_points(self, old_ids: Ints, new_ids: Ints) -> None:
-        """Let all that saw an old point (N,) see the new one (N,) instead; the old ones are removed."""
+        """Move the observations of old points (N,) to new ones (N,); the old points are removed."""
         place, rows = self.observations(old_ids)
         self._unlink(rows)
         self.observe(np.asarray(new_ids)[place], rows)
@@ -347,7 +347,7 @@ class Map:
         self.points.replaced_by[old_ids] = new_ids
 
     def current_ids(self, point_ids: I32) -> I32:
-        """Follow points (N,) that were replaced to what they are now; −1 for those that are gone."""
+        """Return the ids that replaced points (N,); −1 for those that were removed."""
         ids = point_ids.copy()
         while True:
             stale = np.flatnonzero(ids >= 0)

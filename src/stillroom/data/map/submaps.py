@@ -1,7 +1,7 @@
-"""Pieces of a map that nobody has connected yet: what a camera saw after it was lost, until it recognises a place.
+"""Sub-maps: the part of a map built after tracking was lost, until a place is recognised and it is merged.
 
-A keyframe without a parent begins a sub-map. Sub-maps lie half a kilometre apart, so that nothing that compares places,
-such as depth remembered from before, ever takes one for another.
+A keyframe without a parent begins a sub-map. Sub-maps lie half a kilometre apart, so that no comparison of positions,
+such as with earlier depth images, confuses them.
 """
 
 import numpy as np
@@ -27,13 +27,13 @@ def lies_in(submap: int, positions_m: Floats) -> Bool:
 
 
 def unjoined(world: Map) -> I64:
-    """Return the ids of the sub-maps (S,) that there are, the oldest first; one where all hangs together."""
+    """Return the ids of the sub-maps (S,), the oldest first; a single one where all are merged."""
     found: I64 = np.unique(world.keyframes.submap[world.keyframes.is_alive]).astype(np.int64)
     return found
 
 
 def main(world: Map, since: int = 0) -> int:
-    """Return the sub-map with most keyframes, of equals the oldest: what a run's trajectory lies in.
+    """Return the sub-map with most keyframes, of equals the oldest: the one of a run's trajectory.
 
     Args:
         world: The map.
@@ -52,16 +52,16 @@ def of_points(point_ids: Ints, world: Map) -> Ints:
 
 
 def join(moved: int, kept: int, T_kept_moved: F64, parent: int, world: Map) -> None:
-    """Lay a sub-map onto another, as one from now on: its keyframes and points move rigidly.
+    """Merge a sub-map into another: its keyframes and points move rigidly.
 
     Args:
         moved: The sub-map that moves.
         kept: The one that stays where it is.
         T_kept_moved: Motion (4, 4) of its coordinates.
-        parent: Keyframe of the other that its first keyframe hangs on from now on.
+        parent: Keyframe of the other that becomes the parent of its first keyframe.
         world: The map.
     """
-    assert max(moved, kept) < world.n_submaps  # which thereby remembers the id that goes
+    assert max(moved, kept) < world.n_submaps  # which keeps counting the id that is dropped
     table, points = world.keyframes, world.points
     members = np.flatnonzero(table.submap == moved)
     ids = np.flatnonzero(points.is_alive)

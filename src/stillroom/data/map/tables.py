@@ -1,4 +1,4 @@
-"""Growing tables: named columns of one length, doubled when full. No view of a column outlives a growth."""
+"""Growing tables: named columns of one length, doubled when full. Views of a column are invalid after a growth."""
 
 from typing import Any, Generic, TypeVar, overload
 
@@ -51,9 +51,9 @@ class Table:
         return self._length
 
     def add_column(self, name: str, dtype: type[np.generic], *tail: int, fill: float = 0) -> None:
-        """Add a side column, which belongs to the part that asks for it; the map itself never reads it.
+        """Add a side column, which belongs to the caller; the map itself never reads it.
 
-        Rows that there are, and rows that come, start as `fill`. Asked for again alike, the column stays as it is.
+        Present and later rows start as `fill`. A second call with the same arguments changes nothing.
 
         Raises:
             ValueError: There is another column of this name.
@@ -70,7 +70,7 @@ class Table:
         self._look_again()
 
     def column(self, name: str) -> NDArray[Any]:
-        """Return the rows in use of a column, side columns among them; no view outlives a growth."""
+        """Return the rows in use of a column, side columns among them; the view is invalid after a growth."""
         return self.views[name]
 
     def append(self, n_rows: int, /, **values: Any) -> slice:
@@ -84,7 +84,7 @@ class Table:
         return slice(start, stop)
 
     def _look_again(self) -> None:
-        """Cut the views once for all readings until the next growth: columns are read some hundred times a frame."""
+        """Make the views once for all readings until the next growth: columns are read some hundred times a frame."""
         self.views = {name: buffer[: self._length] for name, buffer in self.buffers.items()}
 
     def _reserve(self, n_rows: int) -> None:
@@ -122,7 +122,7 @@ class KeypointTable(Table):
 class PointTable(Table):
     """Map points. `n_observations` counts an observation with depth twice, as ORB-SLAM2's limits do.
 
-    `is_unsaved` tells what changed since the map was last written to disk: whoever writes it clears it.
+    `is_unsaved` tells what changed since the map was last written to disk; the writer clears it.
     """
 
     position_m = Column(np.float64, 3)
@@ -142,9 +142,9 @@ class PointTable(Table):
 
 
 class KeyframeTable(Table):
-    """Keyframes. A culled one keeps its place beneath its parent, so that frames hung on it keep a pose.
+    """Keyframes. A culled one keeps its pose relative to its parent, so that frames that refer to it keep a pose.
 
-    `submap` is the piece of the map that it belongs to (see `submaps`); points belong where their first keyframe does.
+    `submap` is the id of its sub-map (see `submaps`); points belong to the sub-map of their first keyframe.
     `is_unsaved` tells of which keyframes the observations changed since the map was last written to disk.
     """
 

@@ -1,4 +1,4 @@
-"""Find the floor in a cloud whose frame does not say where down is."""
+"""Find the floor in a cloud whose vertical is unknown."""
 
 from dataclasses import dataclass
 
@@ -23,7 +23,7 @@ LOWER_M, LOWER_SHARE = 0.15, 0.2
 
 @dataclass(frozen=True)
 class FloorConfig:
-    """What passes for a floor.
+    """Which planes count as a floor.
 
     Attributes:
         max_tilt_deg: How far from the first camera's upward direction the floor's may lie [°]. At 180 any wall will do
@@ -32,7 +32,7 @@ class FloorConfig:
         min_above: Least share of the map's points that lie on or above it.
         tolerance_m: How far its points may lie off the plane [m]; at least one and a half voxels.
         normal_tolerance_deg: How far their normals may lean [°].
-        seed: Where the random choice of points to try starts.
+        seed: Seed of the random sample of points.
     """
 
     max_tilt_deg: float = 60.0
@@ -64,7 +64,8 @@ class Floor:
 def find_floor(cloud: DenseCloud, config: FloorConfig) -> Floor:
     """Find the largest plane that nearly everything else lies above and that the first camera could stand on.
 
-    Directions first: normals of points drawn by chance, each moved to the mean of the normals near it. Then, for each,
+    Directions first: normals of points sampled at random, each moved to the mean of the normals near it. Then, for
+        each,
     the heights at which many points share it: peaks of a histogram, refined by least squares. A table top, however
     large, has the floor and the legs below it.
 
@@ -132,7 +133,7 @@ def _lowest(candidates: list[_Candidate]) -> _Candidate:
 
 
 class _Search:
-    """The points, and the questions that are put to them."""
+    """The search for planes among the points."""
 
     def __init__(self, points: F32, normals: F32, area_m2: float, voxel_m: float, config: FloorConfig) -> None:
         self._points, self._normals, self._config = points.astype(np.float64), normals.astype(np.float64), config
@@ -179,7 +180,7 @@ class _Search:
         return [candidate for candidate in judged if candidate is not None]
 
     def accepted(self, candidate: _Candidate) -> _Candidate | None:
-        """Return a candidate of a sketch, refined and judged by these points."""
+        """Return a candidate from a subsample, refined and evaluated on these points."""
         plane = self._refined(candidate.plane, (1.0, 1.0))
         return None if plane is None else self._judged(plane)
 

@@ -82,7 +82,7 @@ FORMATS: dict[str, Write] = {"ply": _ply, "pcd": _pcd, "mesh": _mesh, "occupancy
 
 
 def chosen_formats(names: Iterable[str]) -> tuple[str, ...]:
-    """Return the formats that are meant, each once and in their order; `all` means all.
+    """Return the chosen formats, each once and in their order; `all` means all.
 
     Raises:
         ConfigError: There is no such format; the message names the nearest.

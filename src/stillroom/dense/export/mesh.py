@@ -38,7 +38,7 @@ class MeshConfig:
             larger holes.
         min_points: Surfaces lie in the 3×3×3 cells around points, and no further from them; but only around points
             that have so many in the 5×5×5 cells around: a lone one makes no surface.
-        max_weight: A point counts by the pixels that it is the mean of, up to here.
+        max_weight: A point is weighted by its number of pixels, up to here.
     """
 
     cell_voxels: float = 1.0
@@ -46,7 +46,7 @@ class MeshConfig:
     max_weight: float = 8.0
 
     def build(self) -> "Mesher":
-        """Return what makes meshes so."""
+        """Return the mesher."""
         return Mesher(self)
 
 
@@ -76,7 +76,7 @@ class Mesh:
 
 
 class Mesher:
-    """Makes meshes of clouds, block by block: beside the mesh itself, memory does not grow with the map."""
+    """Makes meshes of clouds, block by block: apart from the mesh itself, memory does not grow with the map."""
 
     def __init__(self, config: MeshConfig) -> None:
         self._config = config
@@ -125,7 +125,7 @@ def _surface(block: Block, cell_m: float, marching_cubes: Any) -> _Part | None:
     if not cuts.any():
         return None
     mask = np.zeros(distance.shape, dtype=bool)
-    mask[1:, 1:, 1:] = cuts  # The library's mask tells of a cell at its highest corner.
+    mask[1:, 1:, 1:] = cuts  # The library's mask has each cell at its highest corner.
     corners, triangles, _, _ = marching_cubes(distance, 0.0, gradient_direction="descent", mask=mask)
     sums = _interpolated(block.sums, corners)
     kept = _agrees(corners, triangles, sums[:, NORMAL] / sums[:, WEIGHT, None])
@@ -164,10 +164,10 @@ def _interpolated(sums: F32, corners: F32) -> F32:
 
 
 def _agrees(corners: F32, triangles: NDArray[Any], normals: Floats) -> Bool:
-    """Return which triangles (M,) face the way that the points near them do.
+    """Return which triangles (M,) face the same way as the normals of the points near them.
 
     The distance changes its sign at the surface, and also halfway between two surfaces that lie behind each other.
-    Slivers, which face nowhere in particular, agree: without them the mesh would have slits.
+    Slivers, whose normals are undefined, agree: without them the mesh would have slits.
     """
     a, b, c = (corners[triangles[:, k]] for k in range(3))
     across = np.cross(b - a, c - a)

@@ -1,7 +1,7 @@
 """A floor plan for robots: `map.pgm` and `map.yaml` as ROS's map_server and nav2 read them.
 
 The picture shows the floor from above, x to the right and y up, a pixel a cell: black is occupied, nearly white free,
-205 unknown. With the thresholds written beside it a reader in trinary mode takes the three for what they are.
+205 unknown. With the thresholds in the YAML file a reader in trinary mode gets these three classes.
 """
 
 import json
@@ -47,7 +47,7 @@ class OccupancyConfig:
         return None if fits else ("obstacle_to_m", "obstacle_from_m")
 
     def build(self) -> "FloorPlanner":
-        """Return what draws floor plans so.
+        """Return the planner.
 
         Raises:
             ConfigError: The values contradict each other.
@@ -58,13 +58,13 @@ class OccupancyConfig:
 
 @dataclass(frozen=True)
 class FloorPlan:
-    """What stands where.
+    """An occupancy grid.
 
     Attributes:
         cells: `OCCUPIED`, `FREE` or `UNKNOWN` (H, W) uint8: row 0 has the largest y, column 0 the smallest x.
         resolution_m: Edge of a cell [m].
         origin_m: Lower left corner of the lower left cell, x and y [m, map].
-        floor: What it was drawn on.
+        floor: The floor that was found.
     """
 
     cells: U8

@@ -1,8 +1,8 @@
 """OctoMap's binary tree (`.bt`): the occupied voxels of a cloud.
 
 Hornung et al., OctoMap, Autonomous Robots 2013, section 4.2: an inner node is two bytes, two bits for each of its eight
-children (occupied leaf, inner node, or unknown); nodes come depth first. A cloud does not tell free space from the
-unknown, so there is no free leaf.
+children (occupied leaf, inner node, or unknown); nodes come depth first. A cloud has no free space, so there is no free
+leaf.
 """
 
 from pathlib import Path

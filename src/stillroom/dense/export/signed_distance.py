@@ -1,4 +1,4 @@
-"""How far space is from the surface that oriented points are samples of, block by block.
+"""The signed distance to the surface sampled by oriented points, block by block.
 
 At a grid corner x the signed distance is the mean of n·(x − p) over the points p near it, weighted by nearness (Hoppe
 et al., Surface reconstruction from unorganized points, 1992, with the smooth weights of implicit moving least squares:

@@ -1,1 +1,1 @@
-"""The voxels of the dense map: found by hash, summed exactly, judged by what depth rays hit and pass."""
+"""The voxels of the dense map: hashed, summed exactly, and scored by the depth rays that hit and pass them."""

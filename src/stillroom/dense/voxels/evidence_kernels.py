@@ -1,4 +1,4 @@
-"""What depth rays say of voxels: hit, passed, or nothing. Passes since the last hits decide what is still there."""
+"""Scores of voxels from depth rays: hit, passed, or unknown. A voxel that is passed too often is removed."""
 
 from typing import NamedTuple
 
@@ -20,7 +20,7 @@ class SmallDepthView(NamedTuple):
     Attributes:
         T_cam_world: Its pose (4, 4).
         lens: Of the whole image.
-        views: Of each pixel (h, w, 3): its depth, odd where it shows what moves, 0 where unknown; the nearest and the
+        views: Of each pixel (h, w, 3): its depth, odd where it is dynamic, 0 where unknown; the nearest and the
             farthest depth of it and its eight neighbours, 0 where all are unknown.
     """
 
@@ -73,7 +73,7 @@ def position(key: int, row: int, rows: I32, voxel_m: float) -> tuple[float, floa
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def look(X: float, Y: float, Z: float, view: SmallDepthView, seeing: Seeing) -> int:
-    """Return what a small depth image says of a point of the world [m]: NOTHING, HIT or PASSED."""
+    """Return what a small depth image shows at a point of the world [m]: NOTHING, HIT or PASSED."""
     T, views, unit_m = view.T_cam_world, view.views, seeing.unit_m
     z = T[2, 0] * X + T[2, 1] * Y + T[2, 2] * Z + T[2, 3]
     if z <= 0.1:
@@ -108,7 +108,7 @@ def look(X: float, Y: float, Z: float, view: SmallDepthView, seeing: Seeing) -> 
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def _is_surface(units: int, z: float, unit_m: float, tolerance: float) -> bool:
-    """Return whether a pixel shows something at a depth that does not move."""
+    """Return whether a pixel shows a static surface at a depth."""
     return units & 1 == 0 and abs(units * unit_m - z) <= tolerance
 
 
@@ -116,7 +116,7 @@ def _is_surface(units: int, z: float, unit_m: float, tolerance: float) -> bool:
 def judge_in_view(
     is_near: Bool, voxels: VoxelColumns, now: int, view: SmallDepthView, seeing: Seeing, scoring: Scoring
 ) -> int:
-    """Let a depth image judge all voxels with weight in the blocks (B,) that are near; return how many were voided.
+    """Score all voxels with weight in the blocks (B,) that are near by a depth image; return how many were voided.
 
     A hit raises a voxel's score, a pass lowers it, both within limits. A pass at the lower limit voids the voxel.
 
@@ -151,7 +151,7 @@ def judge_in_view(
 def judge_rows(
     chosen: I32, positions_m: F32, rows: I32, view: SmallDepthView, seeing: Seeing, scoring: Scoring, heard: Bool
 ) -> None:
-    """Let a depth image judge chosen rows (M,) at positions (M, 3), and note of which it said something (M,).
+    """Score chosen rows (M,) at positions (M, 3) by a depth image, and mark those that it hit or passed (M,).
 
     Nothing is voided. The other arguments are those of `judge_in_view`.
     """
@@ -168,7 +168,7 @@ def judge_rows(
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def answers(positions_m: F32, view: SmallDepthView, seeing: Seeing) -> U8:
-    """Return what a depth image says of points (M, 3) [m, world], (M,); see `look`."""
+    """Return what a depth image shows at points (M, 3) [m, world], (M,); see `look`."""
     said = np.empty(len(positions_m), dtype=np.uint8)
     for i in range(len(positions_m)):
         X, Y, Z = positions_m[i]

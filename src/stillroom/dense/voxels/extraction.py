@@ -1,4 +1,4 @@
-"""From voxels to a cloud: a surface that noise smeared over several voxels becomes one layer again."""
+"""From voxels to a cloud: a surface that noise spread over several voxels becomes one layer."""
 
 import numpy as np
 

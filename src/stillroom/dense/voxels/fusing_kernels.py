@@ -1,7 +1,6 @@
-"""Adding a keyframe's pixels to the voxels, and taking them out again, to the last bit.
+"""Adding a keyframe's pixels to the voxels, and subtracting them exactly.
 
-Sums are whole numbers: what was added is subtracted exactly, in any order, and no drift is left after a thousand
-corrections.
+Sums are integers: what was added is subtracted exactly, in any order, without drift over a thousand corrections.
 """
 
 from typing import NamedTuple
@@ -113,14 +112,14 @@ class HashTable(NamedTuple):
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def add_pixels(pixels: Pixels, table: HashTable, row_key: I64, rows: I32, n_rows: int, newborn: I32) -> tuple[int, int]:
-    """Add pixels to the voxels; a pixel for which there is no room or no voxel ceases to be usable.
+    """Add pixels to the voxels; a pixel without room or voxel is cleared in `usable`.
 
     Args:
         pixels: The pixels; `usable` changes.
         table: The hash table, with room for all that may come.
         row_key, rows: Keys (N,) and columns (N, 13) of the rows, with room for all that may come.
         n_rows: Rows in use.
-        newborn: Takes the rows that had no weight and now have.
+        newborn: Receives the rows that had no weight and now have.
 
     Returns:
         Rows in use afterwards, and the number of newborn rows.
@@ -163,9 +162,9 @@ def add_pixels(pixels: Pixels, table: HashTable, row_key: I64, rows: I32, n_rows
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def subtract_pixels(pixels: Pixels, table: HashTable, rows: I32, added_at: int) -> None:
-    """Take pixels out of the voxels that they were added to at the time `added_at`.
+    """Subtract pixels from the voxels that they were added to at the time `added_at`.
 
-    Where a voxel was voided since, the pixel is no longer in it, and ceases to be usable: it showed what moved.
+    Where a voxel was voided since, the pixel is no longer in it, and is cleared in `usable`: it was dynamic.
     """
     keys, fine, rgb, normals, weights, usable = pixels
     slot_key, slot_row = table

@@ -16,11 +16,11 @@ logger = logging.getLogger(__name__)
 
 RECORD = np.dtype([("key", "<i8"), ("row", "<i4", (N_COLUMNS,))])
 KEPT_SHARE = 0.6
-"""After a swap the rows take about this share of what they may, so that the next swap is not at once."""
+"""After a swap the rows take about this share of their limit, so that the next swap is not immediate."""
 
 
 class SwappedBlocks:
-    """Whole blocks go out and come back; no voxel is ever in both places."""
+    """Whole blocks are swapped out and in; no voxel is ever in both places."""
 
     def __init__(self, folder: Path | None) -> None:
         """Start with nothing swapped."""

@@ -25,7 +25,7 @@ from stillroom.geometry.arrays import F32, F64, I32, I64, U8, Bool, Ints
 from stillroom.geometry.camera import Lens
 
 BLOCK_BITS = 4
-"""A block is a cube of 16 voxels each way: what is looked at, left out, or swapped as a whole."""
+"""A block is a cube of 16 voxels each way: the unit of culling and swapping."""
 
 MAX_LOAD = 0.6
 FIRST_ROWS, FIRST_SLOTS = 1 << 14, 1 << 16
@@ -35,7 +35,7 @@ NEVER = -1
 
 @dataclass(frozen=True)
 class Placed:
-    """A keyframe's pixels (h, w) on their way into or out of the map: keys, places in the voxels, world normals."""
+    """A keyframe's pixels (h, w), to be added to or subtracted from the map: keys, positions, normals."""
 
     cloud: KeyframeCloud
     keys: I64
@@ -114,7 +114,7 @@ class VoxelMap:
         return rows
 
     def place(self, cloud: KeyframeCloud, rays: F32, normals: I8, T_world_cam: F64) -> Placed:
-        """Work out where a cloud's pixels fall under a pose (4, 4).
+        """Compute the voxels of a cloud's pixels at a pose (4, 4).
 
         Args:
             cloud: The pixels (h, w).
@@ -140,11 +140,11 @@ class VoxelMap:
         return newborn[:n_newborn].copy()
 
     def subtract(self, placed: Placed, added_at: int) -> None:
-        """Take pixels out that were added at the time `added_at`; those voided since cease to be usable."""
+        """Subtract pixels that were added at the time `added_at`; those voided since are cleared in `usable`."""
         subtract_pixels(placed.pixels, HashTable(self._slot_key, self._slot_row), self._rows, added_at)
 
     def void(self, rows: Ints, now: int, score: int) -> None:
-        """Empty voxels (M,) for good: what was added to them before `now` never comes back."""
+        """Empty voxels (M,) permanently: what was added before `now` is never restored."""
         self.rows[rows, :SCORE] = 0
         self.rows[rows, SCORE] = score
         self.rows[rows, VOIDED_AT] = now
@@ -191,7 +191,7 @@ class VoxelMap:
             self._rehash(_slots_for(n_rows))
 
     def _grow(self, capacity: int) -> None:
-        """Make room for so many rows, in place if nobody is looking at them: then the system need not copy them."""
+        """Reserve room for rows, in place if there is no view of them, which saves a copy."""
         before = len(self._rows)
         try:
             self._rows.resize((capacity, N_COLUMNS))
@@ -207,7 +207,7 @@ class VoxelMap:
         enter_rows(self.key, 0, self._slot_key, self._slot_row)
 
     def _number_blocks(self, first_row: int) -> None:
-        """Give the rows from `first_row` on their blocks, numbered as they come."""
+        """Assign blocks, numbered in order of arrival, to the rows from `first_row` on."""
         if first_row == self.n_rows:
             return
         keys, inverse = np.unique(block_keys_of(self.key[first_row:]), return_inverse=True)
@@ -246,7 +246,7 @@ def in_frustum(
         far_m: How far it sees.
     """
     x, y, z = se3.transform(T_cam_world, centres_m).T
-    # The image is widened by a tenth for what distortion bends into it.
+    # The image is widened by a tenth to allow for distortion.
     half_x = 1.1 * max(lens.cx, size_px[0] - lens.cx) / lens.fx
     half_y = 1.1 * max(lens.cy, size_px[1] - lens.cy) / lens.fy
     aside_x = np.abs(x) - half_x * z <= radius_m * np.hypot(1.0, half_x)

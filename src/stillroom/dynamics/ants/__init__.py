@@ -1,1 +1,1 @@
-"""Which points are worth testing at all: the reverse ant colony search (PSPNet-SLAM III.C)."""
+"""The reverse ant colony search (PSPNet-SLAM III.C): which points to test for motion."""

@@ -11,7 +11,7 @@ from stillroom.geometry.arrays import F64, I64
 
 PATHS = ("serpentine", "ants")
 GRID = 16
-"""Cells a side; what lies beyond is taken to lie in the last."""
+"""Cells a side; points beyond count in the last."""
 SHIFTS = ((0, 0), (1, 1), (1, 0), (0, 1))
 """By how many half cells the cells are shifted in four images, to the left and up."""
 
@@ -20,14 +20,14 @@ SHIFTS = ((0, 0), (1, 1), (1, 0), (0, 1))
 class ColonyConfig:
     """The colony. The paper names these numbers without giving values.
 
-    Its pheromone stays from image to image, so that few ants and rounds do.
+    Its pheromone is kept from image to image, so that few ants and rounds suffice.
 
     Attributes:
         alpha: Weight of the pheromone (α).
-        beta: Weight of nearness (β): the greater, the greedier. High, because a few rounds must do.
+        beta: Weight of nearness (β): the greater, the greedier. High, because there are only a few rounds.
         rho: Share of the pheromone that evaporates (ρ), in [0, 1).
-        ants: How many walk in a round (m).
-        rounds: How often they walk; pheromone is laid after each.
+        ants: Ants in a round (m).
+        rounds: Number of rounds; pheromone is laid after each.
     """
 
     alpha: float = 1.0
@@ -48,7 +48,7 @@ def shortest_found(nodes_px: F64, start: int, end: int, config: ColonyConfig, dr
         start, end: A and B.
         config: The colony.
         draws: Uniform numbers in [0, 1), (rounds, ants, n or more): the ants' choices.
-        pheromone: What lies on each pair of nodes to begin with (n, n).
+        pheromone: Initial pheromone on each pair of nodes (n, n).
     """
     n = len(nodes_px)
     if n <= 3:
@@ -76,7 +76,7 @@ class Rules(NamedTuple):
 
 @njit(nogil=True, cache=True)
 def let_walk(nodes_px: F64, ends: tuple[int, int], draws: F64, rules: Rules, pheromone: F64, best: I64) -> None:
-    """Let the ants walk, round after round, and write the shortest path (n,) of all; arguments as `shortest_found`."""
+    """Run the rounds of the colony, and write the shortest path (n,) of all; arguments as `shortest_found`."""
     start, end = ends
     n_ants, alpha, beta, rho = rules
     n = len(nodes_px)
@@ -102,7 +102,7 @@ def let_walk(nodes_px: F64, ends: tuple[int, int], draws: F64, rules: Rules, phe
 
 @njit(nogil=True, cache=True)
 def walk(attraction: F64, distance_px: F64, start: int, end: int, draws: F64, tours: I64, lengths_px: F64) -> None:
-    """Let each ant go once from start to end, choosing by Eq. 12 among the nodes that it has not visited.
+    """Build the tour of each ant from start to end, choosing by Eq. 12 among the nodes that it has not visited.
 
     Args:
         attraction: τ^α η^β of each pair of nodes (n, n).
@@ -110,7 +110,7 @@ def walk(attraction: F64, distance_px: F64, start: int, end: int, draws: F64, to
         start, end: A and B; B is left for last.
         draws: Uniform numbers (m, n), one a choice.
         tours: The nodes in the order of each ant's visit (m, n); filled in.
-        lengths_px: How far each ant went (m,); filled in.
+        lengths_px: Length of each ant's tour (m,); filled in.
     """
     n = len(attraction)
     allowed = np.empty(n, dtype=np.bool_)
@@ -162,7 +162,7 @@ class PathConfig:
         cell_px: Side of a cell; a node is the mean of the points in one [px].
         min_points: Cells with fewer points have no node.
         shifts: Whether the cells lie elsewhere in each of four images, by half a cell: what one path misses, the next
-            may come upon.
+            may find.
         colony: The ants.
     """
 
@@ -173,18 +173,18 @@ class PathConfig:
     colony: ColonyConfig = field(default_factory=ColonyConfig)
 
     def build(self, seed: int = 0) -> "PathLayer":
-        """Return what lays paths; the seed is that of the ants."""
+        """Return the path layer; the seed is that of the ants."""
         check(self, "path")
         return PathLayer(self, seed)
 
 
 class PathLayer:
-    """Lays paths. Ants leave pheromone between cells of the image, which the ants of the next image find."""
+    """Lays paths. Pheromone between cells of the image is kept for the next image."""
 
     def __init__(self, config: PathConfig, seed: int = 0) -> None:
         """Start without pheromone."""
         self.config = config
-        # The same draws for every image: what differs is what the ants find.
+        # The same random numbers for every image.
         self._draws = np.random.default_rng(seed).random((config.colony.rounds, config.colony.ants, GRID * GRID))
         self._trails = np.ones((GRID * GRID, GRID * GRID)) if config.kind == "ants" else None
         self._last = np.zeros(0, dtype=np.int64)

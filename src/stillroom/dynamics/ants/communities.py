@@ -79,7 +79,7 @@ class KnownPoints(NamedTuple):
         is_tested: Which were tested; what is to be tested next counts as tested.
         is_dynamic: Which of them move.
         community: The community of each, NONE for most.
-        is_open: Which communities, by number, have something new in their band (N + 1,).
+        is_open: Which communities, by number, have a new point in their band (N + 1,).
     """
 
     is_tested: Bool
@@ -92,12 +92,12 @@ class KnownPoints(NamedTuple):
 def widen(points_px: F64, rank: I64, grow_px: float, known: KnownPoints, untested: I64) -> int:
     """Grow all communities as far as what is known leads, and collect what must be tested to lead on.
 
-    A community takes up whatever moves in the band around its hull, other communities with all that they have. Points
-    that move and are in none found one, those of the lowest rank first.
+    A community absorbs all moving points in the band around its hull, and their communities. Moving points in no
+    community start a new one, those of the lowest rank first.
 
     Args:
         points_px: All points (N, 2).
-        rank: In which order points found communities (N,).
+        rank: Order in which points start communities (N,).
         grow_px: ΔZ, the width of the band.
         known: What is known of the points; changes.
         untested: Points around them to test now (N,); filled in.
@@ -141,9 +141,9 @@ def widen(points_px: F64, rank: I64, grow_px: float, known: KnownPoints, unteste
 
 @njit(nogil=True, cache=True)
 def _gather(points_px: F64, grow_px: float, number: I64, is_open: Bool, c: int, is_near: Bool, hull_px: F64) -> int:
-    """Let community `c` take up all moving points (M, 2) in the band around it, and their communities (M,).
+    """Let community `c` absorb all moving points (M, 2) in the band around it, and their communities (M,).
 
-    Returns how many corners its hull has in the end; 0 for one that another has taken up.
+    Returns how many corners its hull has in the end; 0 for one that another has absorbed.
     """
     while True:
         if not np.any(number == c):

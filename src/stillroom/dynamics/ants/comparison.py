@@ -1,4 +1,4 @@
-"""What the search saves, and what it misses, against testing every point.
+"""The search compared with testing every point: what it saves, and what it misses.
 
 PSPNet-SLAM's Table 2 (docs/reference.md#pspnet-slam).
 """
@@ -79,11 +79,11 @@ class SearchComparison:
 
 @dataclass(frozen=True)
 class PointSet:
-    """Points of one image, and how it is found out which of them move.
+    """Points of one image, and the test of which of them move.
 
     Attributes:
         points_px: The points (N, 2) [px].
-        test: Tells which of them move; every way goes through it.
+        test: Returns which of them move; every search uses it.
         grow: Grows regions from the points that move (N,); None for no growing.
         mask: What a network masked (H, W); none of the points lies there.
     """
@@ -104,7 +104,7 @@ def compare(
 
     Args:
         points: The points of an image.
-        searches: By name; each takes what it found as its past.
+        searches: By name; each keeps what it found for the next image.
         repeats: How often each is timed.
         clock: Returns a time [s]; by default the processor time of this thread.
 
@@ -136,10 +136,10 @@ def compare(
 def _searched(
     points: PointSet, ants: ReverseSearch, repeats: int, clock: Callable[[], float]
 ) -> tuple[SearchResult, float, float]:
-    """Return what a search finds, what it costs with path and memory, and what the path costs of that [s]."""
+    """Return the result of a search, its time with path and memory, and the time of the path alone [s]."""
     _, path_s = _timed(lambda: ants.path.lay(points.points_px), repeats, clock)
     found, search_s = _timed(lambda: ants.search(points.points_px, points.test, points.mask), repeats, clock)
-    _, memory_s = _timed(lambda: ants.remember(points.points_px, found), 1, clock)  # once, or it would forget
+    _, memory_s = _timed(lambda: ants.remember(points.points_px, found), 1, clock)  # once, because it evaporates
     return found, search_s + memory_s, path_s
 
 
@@ -160,7 +160,7 @@ def _ratio(part_s: float, whole_s: float) -> float:
 
 
 def _timed(work: Callable[[], T], repeats: int, clock: Callable[[], float]) -> tuple[T, float]:
-    """Return the answer of the work and the shortest time that it took [s]."""
+    """Return the result of the function and its shortest time [s]."""
     best_s = float("inf")
     for _ in range(max(1, repeats)):
         start_s = clock()

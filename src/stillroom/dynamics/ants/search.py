@@ -11,27 +11,27 @@ from stillroom.dynamics.ants.communities import NONE, KnownPoints, convex_hull, 
 from stillroom.geometry.arrays import F64, I64, Bool
 
 GRID = 128
-"""Cells of the scent a side; what lies beyond is taken to lie in the last."""
+"""Cells of the pheromone map a side; points beyond count in the last."""
 MASK_STEP_PX = 8
-"""Every so many-th row and column of a mask is looked at."""
+"""Stride in rows and columns at which a mask is read [px]."""
 Test = Callable[[I64], Bool]
-"""Tells which of the points, given by number (K,), move (K,)."""
+"""Returns which of the points, given by number (K,), move (K,)."""
 
 
-# Where it smells of food: where points moved in the last images, and what a network masked in this one.
+# The pheromone map: where points moved in the last images, and what a network masked in this one.
 
 
 @dataclass(frozen=True)
-class ScentConfig:
-    """What the search knows before it sets out: the pheromone of ants that found food.
+class PheromoneMapConfig:
+    """The pheromone map: cells that are searched first, because points moved there in the last images.
 
     Attributes:
-        enabled: Whether it knows anything. Without, every image is searched as if it were the first.
-        cell_px: Side of a cell of the image in which moving points leave scent [px].
-        reach: How many cells around them, and around masked pixels, smell too: what a network overlooks of a person
-            lies beside what it saw of him.
-        rho: Share of the scent that evaporates from image to image (ρ of Eq. 14).
-        least: Cells that smell less than this are left to the path.
+        enabled: Whether it is used. If not, every image is searched as if it were the first.
+        cell_px: Side of a cell of the image [px].
+        reach: How many cells around moving points, and around masked pixels, are marked too: what a network misses of a
+            person lies beside what it masked.
+        rho: Share of the pheromone that evaporates from image to image (ρ of Eq. 14).
+        least: Cells with less pheromone than this are left to the path.
     """
 
     enabled: bool = True
@@ -41,16 +41,16 @@ class ScentConfig:
     least: float = 0.3
 
 
-class Scent:
-    """Scent by cells of the image, 1 where points moved in the last image."""
+class PheromoneMap:
+    """Pheromone by cells of the image, 1 where points moved in the last image."""
 
-    def __init__(self, config: ScentConfig) -> None:
-        """Start with scent everywhere: before there is a past, nothing can be left out."""
+    def __init__(self, config: PheromoneMapConfig) -> None:
+        """Start with pheromone everywhere: in the first image all points are tested."""
         self.config = config
         self._strength = np.ones((GRID, GRID))
 
     def mark(self, points_px: F64, mask: Bool | None, is_marked: Bool) -> None:
-        """Mark the points (N, 2) that lie where it smells, (N,), of the past or of a mask (H, W)."""
+        """Mark the points (N, 2) in cells with pheromone, (N,), or near a mask (H, W)."""
         config, strength = self.config, self._strength
         if not config.enabled:
             return
@@ -60,7 +60,7 @@ class Scent:
         smell(points_px, strength, config.cell_px, config.least, is_marked)
 
     def leave(self, points_px: F64) -> None:
-        """Let the scent evaporate, and renew it around moving points (M, 2)."""
+        """Let the pheromone evaporate, and renew it around moving points (M, 2)."""
         self._strength *= 1.0 - self.config.rho
         renew(points_px, self._strength, self.config.cell_px, self.config.reach)
 
@@ -77,7 +77,7 @@ def smell(points_px: F64, strength: F64, cell_px: int, least: float, is_marked: 
 
 @njit(nogil=True, cache=True)
 def renew(points_px: F64, strength: F64, cell_px: int, reach: int) -> None:
-    """Set the strength of the cells of points (M, 2), and of so many around them, to 1."""
+    """Set the strength of the cells of points (M, 2), and of those within `reach`, to 1."""
     height, width = strength.shape
     for i in range(len(points_px)):
         column = min(max(int(points_px[i, 0] / cell_px), 0), width - 1)
@@ -87,7 +87,7 @@ def renew(points_px: F64, strength: F64, cell_px: int, reach: int) -> None:
 
 @njit(nogil=True, cache=True)
 def renew_by_mask(mask: Bool, strength: F64, cell: float, reach: int) -> None:
-    """Set the strength of the cells of masked pixels (h, w), and of so many around them, to 1; `cell` is in pixels."""
+    """Set the strength of the cells of masked pixels (h, w), and of those within `reach`, to 1; `cell` is in pixels."""
     height, width = strength.shape
     for v in range(mask.shape[0]):
         for u in range(mask.shape[1]):
@@ -103,16 +103,16 @@ class ReverseSearchConfig:
     Attributes:
         path: The path L.
         radius_px: R, how far from a node points are tested [px].
-        grow_px: ΔZ, how far around the hull of moving points the search goes on [px].
-        min_community: Moving points that a community needs; fewer are only themselves.
-        scent: What is remembered of where points moved in the last images.
+        grow_px: ΔZ, how far the hull of moving points is dilated in each step [px].
+        min_community: Fewest moving points of a community.
+        scent: The pheromone map: where points moved in the last images.
     """
 
     path: PathConfig = field(default_factory=PathConfig)
     radius_px: float = 14.0
     grow_px: float = 32.0
     min_community: int = 3
-    scent: ScentConfig = field(default_factory=ScentConfig)
+    scent: PheromoneMapConfig = field(default_factory=PheromoneMapConfig)
 
     def build(self, seed: int = 0) -> "ReverseSearch":
         """Return the search; the seed is that of the ants.
@@ -123,13 +123,13 @@ class ReverseSearchConfig:
         return ReverseSearch(self, seed)
 
     def search(self, points_px: F64, test: Test, seed: int = 0) -> "SearchResult":
-        """Search points (N, 2) [px] along the path alone, without a past."""
+        """Search points (N, 2) [px] along the path alone, without a pheromone map."""
         return search(points_px, self.path.build(seed).lay(points_px), test, self)
 
 
 @dataclass(frozen=True)
 class SearchResult:
-    """What the search came upon, for N points.
+    """The result of the search, for N points.
 
     Attributes:
         is_dynamic: Which points move (N,).
@@ -152,13 +152,13 @@ class SearchResult:
 
 
 class ReverseSearch:
-    """Searches one image after the other; where points moved, the next image is searched first."""
+    """Searches image after image; where points moved, the next image is searched first."""
 
     def __init__(self, config: ReverseSearchConfig, seed: int = 0) -> None:
-        """Start without a past."""
+        """Start without earlier images."""
         self.config = config
         self.path = config.path.build(seed)
-        self.scent = Scent(config.scent)
+        self.scent = PheromoneMap(config.scent)
 
     def search(self, points_px: F64, test: Test, mask: Bool | None = None) -> SearchResult:
         """Go along a path through points (N, 2) [px], none of which lies in the mask (H, W); see the function `search`.
@@ -166,12 +166,12 @@ class ReverseSearch:
         Changes nothing that is remembered.
         """
         points_px = np.ascontiguousarray(points_px, dtype=np.float64)
-        smells = np.zeros(len(points_px), dtype=np.bool_)
-        self.scent.mark(points_px, mask, smells)
-        return search(points_px, self.path.lay(points_px), test, self.config, smells)
+        marked = np.zeros(len(points_px), dtype=np.bool_)
+        self.scent.mark(points_px, mask, marked)
+        return search(points_px, self.path.lay(points_px), test, self.config, marked)
 
     def remember(self, points_px: F64, found: SearchResult) -> None:
-        """Take what was found of points (N, 2) as the past of the next image."""
+        """Update the pheromone map with what was found of points (N, 2), for the next image."""
         self.path.remember()
         self.scent.leave(np.ascontiguousarray(points_px[found.is_dynamic], dtype=np.float64))
 
@@ -182,28 +182,28 @@ def exhaustive(points_px: F64, test: Test) -> Bool:
 
 
 def search(
-    points_px: F64, path_px: F64, test: Test, config: ReverseSearchConfig, smells: Bool | None = None
+    points_px: F64, path_px: F64, test: Test, config: ReverseSearchConfig, marked: Bool | None = None
 ) -> SearchResult:
     """Go along the path; at a node test what lies within R, and grow around what moves until nothing new is found.
 
-    All that lies near any node is tested sooner or later, and the order changes no verdict; so it is tested at once,
-    which spares calls, and so are the bands around all communities. The order of the nodes decides in which order
-    communities are founded, nothing else.
+    All that lies near any node is tested eventually, and the order changes no result; so it is tested at once, which
+    saves calls, and so are the bands around all communities. The order of the nodes only decides the order of the
+    communities.
 
     Args:
         points_px: Points (N, 2) [px].
         path_px: The nodes in order (n, 2) [px].
-        test: Tells which points move; asked of each point at most once.
+        test: Returns which points move; called for each point at most once.
         config: R and ΔZ.
-        smells: Points (N,) that are tested wherever the path leads.
+        marked: Points (N,) that are tested wherever the path leads.
     """
     n = len(points_px)
     points_px = np.ascontiguousarray(points_px, dtype=np.float64)
     node = np.full(n, len(path_px), dtype=np.int64)
     first_node_near(points_px, path_px, config.radius_px, node)
     is_tested = node < len(path_px)
-    if smells is not None:
-        is_tested |= smells
+    if marked is not None:
+        is_tested |= marked
     is_dynamic, is_open = np.zeros(n, dtype=np.bool_), np.zeros(n + 1, dtype=np.bool_)
     community, untested = np.full(n, NONE, dtype=np.int64), np.flatnonzero(is_tested)
     wanted, known = np.empty(n, dtype=np.int64), KnownPoints(is_tested, is_dynamic, community, is_open)

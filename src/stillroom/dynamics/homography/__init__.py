@@ -1,1 +1,1 @@
-"""What does move, told by an optimally compensated homography, with depth for its parallax (PSPNet-SLAM III.B)."""
+"""Dynamic points by an optimally compensated homography, with depth for its parallax (PSPNet-SLAM III.B)."""

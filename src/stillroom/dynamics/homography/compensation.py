@@ -21,13 +21,13 @@ class CompensationConfig:
     """How the camera's motion is found (PSPNet-SLAM III.B).
 
     Attributes:
-        n_probes: Keypoints, spread over what may not move, that are followed to the earlier image.
+        n_probes: Keypoints, spread over what is not potentially dynamic, that are tracked into the earlier image.
         inlier_px: Largest residual of a pair that agrees with the homography [px].
-        magsac: Whether MAGSAC finds it, which polishes its answer; else RANSAC by the book, slower and with fewer
+        magsac: Whether MAGSAC++ estimates it, with local refinement; else plain RANSAC, slower and with fewer
             inliers (docs/reference.md#library-measurements).
-        refine: Whether Levenberg–Marquardt follows (Eq. 11): the compensated homography. Without, the plain one. It
-            gains much on RANSAC's answer, on MAGSAC's little.
-        symmetric: Whether it counts the error in both images.
+        refine: Whether Levenberg–Marquardt follows (Eq. 11): the compensated homography. If not, the plain one. It
+            improves RANSAC's result much, MAGSAC's little.
+        symmetric: Whether it minimises the error in both images.
         min_inliers: Pairs that the homography, and the motion, need each.
         pose_sigma_px: Standard deviation of a followed probe [px].
         pose: How the motion is found.
@@ -62,7 +62,7 @@ class CameraMotion:
 
 
 class Compensation:
-    """Finds the camera's motion from what stands still, whatever guess it is given."""
+    """Estimates the camera's motion from static points, independent of the initial guess."""
 
     def __init__(self, config: CompensationConfig, seed: int) -> None:
         """Take the seed of MAGSAC's samples."""
@@ -72,11 +72,11 @@ class Compensation:
     def __call__(
         self, frame: Frame, may_move: Bool, now_half: U8, then_half: U8, T_then_now_guess: F64
     ) -> CameraMotion | None:
-        """Return how the camera moved; None where too little that stands still was found again.
+        """Return how the camera moved; None where too few static points were found again.
 
         Args:
             frame: The present frame.
-            may_move: Keypoints (N,) that are not asked.
+            may_move: Keypoints (N,) that are left out.
             now_half, then_half: Both images at half size.
             T_then_now_guess: Where to look first (4, 4).
         """
@@ -125,7 +125,7 @@ def choose_probes(raw_px: F64, has_depth: Bool, usable: Bool, n: int) -> I64:
     order = np.lexsort((~has_depth[candidates], cell_id))
     sorted_id = cell_id[order]
     first = np.searchsorted(sorted_id, sorted_id)
-    rank = np.arange(len(order)) - first  # the how-many-th of its cell each is
+    rank = np.arange(len(order)) - first  # rank of each within its cell
     chosen = order[np.argsort(rank, kind="stable")[:n]]
     return np.sort(candidates[chosen])
 

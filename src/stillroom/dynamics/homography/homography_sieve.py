@@ -29,7 +29,7 @@ class CompensatedHomographyConfig:
     """The sieve of the `pspnet-slam` preset (PSPNet-SLAM III.B and III.C).
 
     The keypoints outside the masks are followed to an earlier image; a homography is fitted to them, and compensated.
-    Those of them that a path leads past are tested: a point moves when it was elsewhere in the earlier image than the
+    Those of them near a path are tested: a point moves when it was elsewhere in the earlier image than the
     homography says, or its place was empty.
 
     Differs from the paper: one homography cannot explain a scene with depth, in which static points shift by their
@@ -63,15 +63,15 @@ class CompensatedHomographyConfig:
 
 @dataclass(frozen=True)
 class Findings:
-    """What the geometry says of an image; kept for pictures and tests.
+    """The result of the geometry on an image; kept for pictures and tests.
 
     Attributes:
         index: Number of the image.
-        candidates: Keypoints outside the masks (K,), which the search was about.
-        found: What it found; its points are the candidates.
-        verdicts: What the test said of each candidate (K,), UNKNOWN where it was not asked.
+        candidates: Keypoints outside the masks (K,), which were searched.
+        found: Result of the search; its points are the candidates.
+        verdicts: Result of the test for each candidate (K,), UNKNOWN where it was not tested.
         camera_motion: How the camera moved.
-        test: The test, which can be asked of other points.
+        test: The test, which can be run on other points.
     """
 
     index: int
@@ -83,10 +83,10 @@ class Findings:
 
 
 class CompensatedHomographySieve:
-    """Sieve 2 of `pspnet-slam`. An image is judged when it is first asked about, with the pose known by then."""
+    """Sieve 2 of `pspnet-slam`. An image is classified at the first call, with the pose known by then."""
 
     def __init__(self, config: CompensatedHomographyConfig, seed: int = 0) -> None:
-        """Start without a past."""
+        """Start without earlier images."""
         self.config, self.seed = config, seed
         self._compensation = Compensation(config.compensation, seed)
         self._past = Past(config.earlier_s)
@@ -96,18 +96,18 @@ class CompensatedHomographySieve:
         self.findings: Findings | None = None
 
     def judge(self, question: Question) -> Motion:
-        """Judge by the masks, and outside them by geometry."""
+        """Classify by the masks, and outside them by geometry."""
         frame, known = question.frame, question.known
         if self._asked is None or self._asked.image is not frame.image:
             self._view, self.findings = view_of(frame.image), None
         if self.findings is None or self._asked is None or self._asked.keypoints is not frame.keypoints:
-            # A later stage asks with a better pose, in case the first one's led nowhere.
+            # A later stage tries again with a better pose, in case the first one gave no result.
             self.findings = self.examine(frame, known, self._view, question.T_cam_world)
         self._asked = frame
         return self._verdict(frame, known)
 
     def remember(self, frame: Frame, T_cam_world: F64, keyframe: int) -> None:
-        """Take an image as the past of the next one; the ants remember it once."""
+        """Store an image for the next one; the ants are updated once."""
         if self._asked is None or self._asked.image is not frame.image:
             return
         self._past.remember(frame, self._view, T_cam_world)
@@ -116,11 +116,11 @@ class CompensatedHomographySieve:
             self._remembered = frame.image
 
     def corrected(self, T_new_old: F64) -> None:
-        """Move the past along."""
+        """Correct the stored poses."""
         self._past.follow(T_new_old)
 
     def examine(self, frame: Frame, known: Semantics, view: ImageView, T_cam_world: F64) -> Findings | None:
-        """Return what the geometry says; None where there is nothing to compare with, or it cannot be compared."""
+        """Return the result of the geometry; None where there is nothing to compare with, or it cannot be compared."""
         masked = known.movable_at(frame.keypoints.raw_px)
         for earlier in self._past.before(frame):
             guess = earlier.T_cam_world @ se3.inverse(T_cam_world)
@@ -164,7 +164,7 @@ class CompensatedHomographySieve:
         return Findings(frame.image.index, candidates, found, verdicts, camera_motion, test)
 
     def _verdict(self, frame: Frame, known: Semantics) -> Motion:
-        """Put together what the masks and the geometry say."""
+        """Combine the masks and the geometry."""
         moving = known.movable.copy()
         is_static = ~known.movable_at(frame.keypoints.raw_px)
         findings = self.findings
@@ -175,13 +175,13 @@ class CompensatedHomographySieve:
         geometry = np.zeros_like(moving)
         for hull_px, members in zip(found.hulls, found.members, strict=True):
             geometry |= self._filled(hull_px, test.raw_px[members], test.depth_m[members], frame.image.depth_m)
-        # What could not be tested goes with the community that it lies in.
+        # What could not be tested gets the label of its community.
         lone = values_at(geometry, test.raw_px) & (findings.verdicts == UNKNOWN)
         is_static[findings.candidates[lone]] = False
         return Motion(is_static, moving | geometry)
 
     def _filled(self, hull_px: F64, members_px: F64, members_m: F64, depth_m: F32) -> Bool:
-        """Return the pixels (H, W) of a community: in its hull (k, 2), and near a member (M, 2) in all respects."""
+        """Return the pixels (H, W) of a community: in its hull (k, 2), and near a member (M, 2), also in depth."""
         hull = np.zeros(depth_m.shape, dtype=np.uint8)
         cv2.fillConvexPoly(hull, np.rint(hull_px).astype(np.int32), 1)
         filled = np.zeros(depth_m.shape, dtype=np.bool_)

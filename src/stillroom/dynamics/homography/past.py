@@ -1,4 +1,4 @@
-"""The images that the present one is held against."""
+"""The earlier images that the present one is compared with."""
 
 import itertools
 from dataclasses import dataclass, field, replace
@@ -22,7 +22,7 @@ class EarlierImage:
 
     Attributes:
         index, timestamp_s: Place and time of the image in its sequence.
-        view: What is read of it.
+        view: The image as the point test reads it.
         T_cam_world: Its pose as tracked (4, 4).
     """
 
@@ -48,7 +48,7 @@ class Past:
     """The last images, back to one that is old enough."""
 
     def __init__(self, age_s: float) -> None:
-        """Start without a past.
+        """Start without images.
 
         Args:
             age_s: How old the image should be that the present one is compared with [s].
@@ -62,7 +62,7 @@ class Past:
         earlier = [image for image in self._images if now_s - TOO_OLD_S <= image.timestamp_s < now_s]
         if not earlier:
             return []
-        # A tenth less: frames come a little early at times.
+        # A tenth less: frames are sometimes slightly early.
         old = [image for image in earlier if now_s - image.timestamp_s >= 0.9 * self._age_s]
         first = old[-1] if old else earlier[0]
         return [first] if first is earlier[-1] else [first, earlier[-1]]
@@ -80,12 +80,12 @@ class Past:
         return max(turns, default=0.0)
 
     def follow(self, T_new_old: F64) -> None:
-        """Move what is remembered by a motion (4, 4) of the world's coordinates."""
+        """Move the stored poses by a motion (4, 4) of the world's coordinates."""
         T_old_new = se3.inverse(T_new_old)
         self._images = [replace(image, T_cam_world=image.T_cam_world @ T_old_new) for image in self._images]
 
     def remember(self, frame: Frame, view: ImageView, T_cam_world: F64) -> None:
-        """Keep an image, once; forget those that no later one will be compared with."""
+        """Store an image, once; drop those that no later one will be compared with."""
         oldest_s = min((image.timestamp_s for image in self.before(frame)), default=frame.timestamp_s)
         kept = [image for image in self._images if oldest_s <= image.timestamp_s < frame.timestamp_s]
         self._images = [*kept, EarlierImage(frame.image.index, frame.timestamp_s, view, T_cam_world.copy())]

@@ -1,4 +1,4 @@
-"""Where a patch of one image lies in another: a small Lucas–Kanade, a point at a time."""
+"""Patch tracking between two images: Lucas–Kanade, a point at a time."""
 
 import numpy as np
 
@@ -12,7 +12,7 @@ MARGIN_PX = HALF_PX + 2
 MIN_CONTRAST = 4.0
 """Root mean square gradient [gray levels a pixel] that a patch must have in its poorest direction, on average."""
 NOT_SEEN = -1.5
-"""The likeness of what has no corner, or lies outside the image."""
+"""The correlation of a patch without a corner, or outside the image."""
 _ENOUGH_PX = 0.02
 
 
@@ -42,7 +42,7 @@ def take_patch(image: U8, x: float, y: float, patch: F64) -> float:
 
 @njit(nogil=True, cache=True)
 def take_gradients(image: U8, x: float, y: float, scratch: F64) -> bool:
-    """Write a patch's gradients to rows 1 and 2 of `scratch` (4, N_PIXELS); return whether it is a corner of a kind."""
+    """Write a patch's gradients to rows 1 and 2 of `scratch` (4, N_PIXELS); return whether it is a corner."""
     take_patch(image, x + 1.0, y, scratch[1])
     take_patch(image, x - 1.0, y, scratch[3])
     for n in range(N_PIXELS):
@@ -71,10 +71,10 @@ def find_patch(
     scratch: F64,
     found: F64,
 ) -> float:
-    """Look in another image for the patch around a point, from a first guess on.
+    """Find the patch around a point in another image, from an initial guess.
 
-    Inverse compositional Lucas–Kanade (Baker and Matthews 2004) of a shift, with brightness and contrast evened out:
-    the gradients are those of the patch, taken once.
+    Inverse compositional Lucas–Kanade (Baker and Matthews 2004) of a shift, with normalised brightness and contrast:
+    the gradients are those of the patch, computed once.
 
     Args:
         now, at: Image (h, w), and x and y of the point in it [px].
@@ -84,7 +84,7 @@ def find_patch(
         found: Where the patch is (2,) [px]; filled in.
 
     Returns:
-        How much the patches are alike: their normalised correlation; NOT_SEEN where the patch has no corner or leaves
+        Similarity of the patches: their normalised correlation; NOT_SEEN where the patch has no corner or leaves
         an image.
     """
     (x, y), (u, v) = at, guess

@@ -1,4 +1,4 @@
-"""The dynamic test of one point: is it where a static one would be?"""
+"""The motion test of one point: is it where a static one would be?"""
 
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -13,11 +13,11 @@ from stillroom.geometry.camera import Camera, Lens
 from stillroom.geometry.distortion import distorted
 
 UNKNOWN, STATIC, DYNAMIC = 0, 1, 2
-"""What the test can say of a point."""
+"""Results of the test."""
 FOUND, ABSENT = 1, 2
-"""What else the search for its patch can say; UNKNOWN is as above."""
+"""Results of the patch search; UNKNOWN is as above."""
 DEPTH_STEP_PX = 2
-"""Spacing of the nine pixels of the depth image that are asked."""
+"""Spacing of the nine pixels of the depth image that are compared."""
 _NEAR_M = 0.1
 
 
@@ -26,15 +26,15 @@ class PointTestConfig:
     """When a point moves.
 
     Attributes:
-        use_depth: Whether depth and the pose may explain what the homography cannot: parallax. Without, the homography
-            alone decides (the paper's letter), which is right of a scene that is flat, far away, or only turned to.
+        use_depth: Whether depth and the pose may explain what the homography cannot: parallax. If not, the homography
+            alone decides (the paper's rule), which holds for a plane, a far scene, or a pure rotation.
         threshold_px: Largest distance of a static point from where it should be in the earlier image [px].
         tolerance_m, tolerance_share: Two depths agree when they differ by less than the larger of the first and this
             share of the depth.
         min_likeness: Normalised correlation from which on a patch counts as found.
         max_unlikeness: Where depth says that the place was in view, a patch whose correlation stays below this is not
             there, wherever it may have been.
-        nearest_m: Nothing without a depth is taken to be nearer than this: what parallax can at most be [m].
+        nearest_m: Smallest depth assumed for a point without one, which bounds its parallax [m].
         iterations: Steps of the search for a patch.
     """
 
@@ -137,7 +137,7 @@ class PointTest:
         return verdicts
 
     def residuals_px(self, which: I64) -> F64:
-        """Return how far each of the points `which` (K,) is from where pose or homography want it, (K, 2) [px].
+        """Return how far each of the points `which` (K,) is from its prediction by pose and by homography, (K, 2) [px].
 
         The first is NaN where there is no depth, both where the point was not found in the earlier image.
         """
@@ -155,7 +155,7 @@ class PointTest:
 
     @cached_property
     def _given(self) -> tuple[_Images, _TestPoints, _Motions, Lens, _Limits]:
-        """What the kernel is given with each question."""
+        """The constant arguments of the kernel."""
         c = self.config
         return (
             _Images(self.now.half, self.now.quarter, self.then.half, self.then.quarter, self.then.depth_m),
@@ -180,8 +180,8 @@ def ask_depth(depth_m: F32, px: F64, z: float, tolerance_m: float) -> int:
     """Return what a depth image (H, W) shows at a pixel, for a surface that should be z away.
 
     Returns:
-        STATIC when one of nine pixels agrees, DYNAMIC when all that know lie behind: the place was empty; UNKNOWN else:
-        something stood before it, or nothing is known. −1 outside the image.
+        STATIC when one of nine pixels agrees, DYNAMIC when all known ones lie behind: the place was free; UNKNOWN else:
+            it was occluded, or depth is unknown. −1 outside the image.
     """
     column, row = int(px[0] + 0.5), int(px[1] + 0.5)
     edge = DEPTH_STEP_PX
@@ -207,7 +207,7 @@ def locate(images: _Images, raw: F64, guess: F64, limits: _Limits, scratch: F64,
     Near the guess at half size first; where it is not there, farther away at a quarter of the size, then near that.
 
     Returns:
-        FOUND; ABSENT when what is at the guess is like nothing of it; UNKNOWN else, or where there is no corner.
+        FOUND; ABSENT when the patch at the guess does not match; UNKNOWN else, or where there is no corner.
     """
     now_half, now_quarter, then_half, then_quarter, _ = images
     min_likeness, iterations = limits.min_likeness, limits.iterations
@@ -229,7 +229,7 @@ def locate(images: _Images, raw: F64, guess: F64, limits: _Limits, scratch: F64,
 
 @njit(nogil=True, cache=True)
 def unexplained_px(found: F64, by_plane: F64, T_then_now: F64, lens: Lens, nearest_m: float) -> float:
-    """Return what of a point's distance (2,) from where the plane would have it no depth could explain [px].
+    """Return the part of a point's distance (2,) from its prediction by the plane that no depth explains [px].
 
     A point off the plane is shifted along its epipolar line, by no more than one at `nearest_m` (plane and parallax).
     """
@@ -250,7 +250,7 @@ def unexplained_px(found: F64, by_plane: F64, T_then_now: F64, lens: Lens, neare
 def judge_points(
     which: I64, images: _Images, points: _TestPoints, motions: _Motions, lens: Lens, limits: _Limits, answers: _Answers
 ) -> None:
-    """Write what is said of the points `which` (K,); see `PointTest`."""
+    """Write the results for the points `which` (K,); see `PointTest`."""
     raw_px, px, depth_m = points
     T, H = motions
     verdicts, residual_px = answers
@@ -277,7 +277,7 @@ def judge_points(
             tolerance_m = max(limits.tolerance_m, limits.tolerance_share * there)
             shown = ask_depth(then_depth_m, by_pose, there, tolerance_m)
             if shown == UNKNOWN and then_depth_m[int(by_pose[1] + 0.5), int(by_pose[0] + 0.5)] > 0.0:
-                continue  # Something stood before it.
+                continue  # It was occluded.
         guess = by_pose if deep else by_plane
         state = locate(images, raw_px[i], guess, limits, scratch, found)
         if state != FOUND:
@@ -292,5 +292,5 @@ def judge_points(
             off_px = min(residual_px[k, 0], plane_px)
         elif use_depth:
             off_px = unexplained_px(found, by_plane, T, lens, limits.nearest_m)
-        # A place that was empty says less than being there: at outlines depth is often that of the other side.
+        # Free space is weaker evidence than a match: at outlines depth is often that of the other side.
         verdicts[k] = DYNAMIC if off_px > limits.threshold_px else STATIC

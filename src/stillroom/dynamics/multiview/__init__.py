@@ -1,1 +1,1 @@
-"""Multi-view geometry in the manner of DynaSLAM: what stands before a surface that keyframes saw is moving."""
+"""Multi-view geometry as in DynaSLAM: what occludes a surface that keyframes saw is dynamic."""

@@ -1,4 +1,4 @@
-"""DynaSLAM's multi-view geometry (III.C): from the last keyframes to a mask of what came since."""
+"""DynaSLAM's multi-view geometry (III.C): from the last keyframes to a mask of dynamic pixels."""
 
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -15,10 +15,10 @@ from stillroom.dynamics.multiview.multiview_kernels import (
     UNSEEN,
     Growth,
     Here,
+    KeyframeDepths,
     Limits,
     Points,
     PointVerdicts,
-    There,
     grow,
     judge_points,
     project,
@@ -39,26 +39,26 @@ class GeometryConfig:
     Kinect noise grows with the squared depth; so do the tolerances that have a `per_m`.
 
     Attributes:
-        keyframes: Which keyframes are asked.
+        keyframes: Which keyframes are compared.
         max_parallax_deg: A point is not tested where the keyframe saw it from a direction farther off [°].
-        parallax_of_translations: Whether the translation of `T_cam_world` stands in for the camera's place in the
+        parallax_of_translations: Whether the translation of `T_cam_world` is used instead of the camera centre in the
             parallax, as in DynaSLAM's code.
-        tau_m, tau_per_m: Something stands before a point when it is nearer by more than this.
+        tau_m, tau_per_m: A point is occluded by something nearer by more than this.
         far_m: Points farther from the present camera than this are not tested.
-        window_px: How far around a point something nearer is looked for; the nearest pixel counts.
-        patch_px: Reach of the patch whose depths must not vary.
+        window_px: Half the window in which something nearer is searched; the nearest pixel counts.
+        patch_px: Half the side of the patch whose depth variance must be small.
         patch_std_m, patch_std_per_m: Largest standard deviation of depth in it.
         seen_through: Whether the keyframe must have seen through the place where something stands now, and regions
-            stop at what more keyframes saw there than saw through it. Without, whatever the camera's own motion
-            brings before something else counts.
+            stop at what more keyframes saw there than saw through it. If not, occlusion by parallax counts as motion
+            too.
         tolerance_m, tolerance_share: Two depths agree within the larger of the first and this share of the depth.
-        growing: Whether regions grow from dynamic points; without, a patch around each point is the mask.
-        growing_stride: Every how many-th pixel is grown into.
+        growing: Whether regions grow from dynamic points; if not, the mask is a patch around each point.
+        growing_stride: Stride of the pixels that regions grow over.
         mean_m, mean_per_m: Largest difference from the region's mean.
         step_m, step_per_m: Largest difference from the neighbour.
         min_area_px: Smaller regions are dropped.
         min_seen_through: With `seen_through`, regions are dropped of which keyframes saw through a smaller share:
-            what nobody has seen before does not move for that.
+            what was never in view is not therefore dynamic.
     """
 
     keyframes: KeyframesConfig = field(default_factory=KeyframesConfig)
@@ -84,27 +84,27 @@ class GeometryConfig:
     min_seen_through: float = 0.1
 
     def build(self) -> "Geometry":
-        """Return the geometry, without a past."""
+        """Return the geometry, without keyframes."""
         return Geometry(self)
 
 
 @dataclass(frozen=True)
 class PointsInView:
-    """Everything about a frame that its points are tested with.
+    """The data for testing the points of a frame.
 
     Attributes:
         frame: The frame.
         points: What the keyframes saw, and where it lies in the frame.
         here, there: The present depth image and the keyframes.
-        verdict: What is known of each point so far (N,); see `kernels`.
-        before_px: The pixel of what stands before it (N, 2), column first.
+        verdict: Result of each point so far (N,); see `multiview_kernels`.
+        before_px: The pixel of what occludes it (N, 2), column first.
         displaced_px: How far the depth image may be displaced by the camera's turn.
     """
 
     frame: Frame
     points: Points
     here: Here
-    there: There
+    there: KeyframeDepths
     verdict: U8
     before_px: I32
     displaced_px: float
@@ -116,13 +116,13 @@ class PointsInView:
 
     @property
     def dynamic_px(self) -> I32:
-        """Pixels (M, 2) of what stands before points that were found to be dynamic."""
+        """Pixels (M, 2) of what occludes points that were found to be dynamic."""
         found: I32 = self.before_px[self.verdict == DYNAMIC]
         return found
 
 
 class Geometry:
-    """Asks the last keyframes about a frame. `mask` is the whole; the others are its steps."""
+    """Compares a frame with the last keyframes. `mask` is the whole; the other methods are its steps."""
 
     def __init__(self, config: GeometryConfig) -> None:
         """Start without keyframes."""
@@ -154,7 +154,7 @@ class Geometry:
         return self.grow(seen, seen.dynamic_px)
 
     def points_in_view(self, frame: Frame, T_cam_world: F64, world: Map) -> PointsInView | None:
-        """Bring the keyframes' points into a frame; None where there are too few keyframes."""
+        """Project the keyframes' points into a frame; None where there are too few keyframes."""
         T_world_cam = se3.inverse(T_cam_world)
         views = self.views.ask(T_world_cam, world)
         if views is None:
@@ -164,14 +164,14 @@ class Geometry:
         depth_m = np.ascontiguousarray(frame.image.depth_m, dtype=np.float32)
         here = Here(depth_m, rays_of(camera), T_world_cam, camera.lens)
         centres_m = self._centres_m(views, T_world_cam)
-        there = There(views.depth_m, views.T_cam_world, T_cam_world @ views.T_world_cam, centres_m)
+        there = KeyframeDepths(views.depth_m, views.T_cam_world, T_cam_world @ views.T_world_cam, centres_m)
         project(points, there, here.lens, frame.image.height, frame.image.width)
         verdict, before_px = np.full(n, UNSEEN, dtype=np.uint8), np.full((n, 2), -1, dtype=np.int32)
         displaced_px = self.views.displaced_px(frame, T_cam_world)
         return PointsInView(frame, points, here, there, verdict, before_px, displaced_px)
 
     def test(self, seen: PointsInView, chosen: I64) -> U8:
-        """Test chosen points (M,); return their verdicts (M,) and note them in it."""
+        """Test chosen points (M,); return the results (M,) and store them in `seen`."""
         q = seen
         limits = self._limits._replace(patch_px=self.config.patch_px + round(q.displaced_px))
         judge_points(chosen, q.points, q.here, q.there, self._window, limits, PointVerdicts(q.verdict, q.before_px))
@@ -179,7 +179,7 @@ class Geometry:
         return verdicts
 
     def grow(self, seen: PointsInView, seeds_px: I32) -> Bool:
-        """Return the mask (H, W) of what reaches from pixels (M, 2) as far as the depth goes on."""
+        """Return the mask (H, W) of regions grown from pixels (M, 2) over continuous depth."""
         stride, whole = self.config.growing_stride, seen.here
         height, width = whole.depth_m.shape
         if not self.config.growing:
@@ -220,7 +220,7 @@ def offsets(reach_px: int) -> I32:
 
 @lru_cache(maxsize=4)
 def rays_of(camera: Camera, stride: int = 1) -> F32:
-    """Return the rays at unit depth of every so many-th pixel (h, w, 2) of the image as taken."""
+    """Return the rays at unit depth of the pixels at a stride (h, w, 2) of the image as taken."""
     column, row = np.meshgrid(np.arange(0, camera.width, stride), np.arange(0, camera.height, stride))
     px = camera.undistort(np.stack((column.ravel(), row.ravel()), axis=1).astype(np.float32))
     rays = (px - (camera.cx, camera.cy)) / (camera.fx, camera.fy)

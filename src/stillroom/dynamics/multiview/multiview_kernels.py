@@ -1,4 +1,4 @@
-"""The two loops: does something new stand before a point, and how far does that reach?"""
+"""The two loops: is a point occluded by something new, and region growing from there."""
 
 from typing import NamedTuple
 
@@ -18,8 +18,9 @@ NOT_ASKED = 2
 
 
 UNSEEN, STATIC, STEEP, BORDER, UNCONFIRMED, DYNAMIC = range(6)
-"""Verdicts on a point: out of view, or no depth there; nothing stands before it; seen from too different directions;
-what stands before it has depths too different; its keyframe did not see through there; something has come."""
+"""Results for a point: out of view, or no depth there; not occluded; too large a parallax; depth variance of the
+occluder too large; its keyframe did not see through there; dynamic.
+"""
 
 AGREES, EMPTY, UNKNOWN = 1, -1, 0
 
@@ -29,10 +30,10 @@ class Limits(NamedTuple):
 
     Attributes:
         min_parallax_cosine: Of the angle at the point between the two cameras.
-        tau_m, tau_per_m: Something stands before a point when nearer by more than the first plus the second (1/m)
+        tau_m, tau_per_m: A point is occluded by something nearer by more than the first plus the second (1/m)
             times the squared depth.
         far_m: Points farther away than this are not tested.
-        patch_px: Reach of the patch of the variance test.
+        patch_px: Half the side of the patch of the variance test.
         std_m, std_per_m: Largest deviation of depth in it, likewise.
         confirm: Whether the keyframe must have seen through the place where it stands now.
         tolerance_m, tolerance_share: Depths agree within the larger of the first and this share of the depth.
@@ -59,7 +60,7 @@ class Growth(NamedTuple):
         step_m, step_per_m: Largest difference from the neighbour, likewise.
         min_pixels: Regions smaller than this are dropped.
         min_seen_through: Regions are dropped of whose pixels a smaller share is seen through by more keyframes than
-            agree; 0 where keyframes are not asked.
+            agree; 0 where keyframes are not compared.
     """
 
     mean_m: float
@@ -86,7 +87,7 @@ class Here(NamedTuple):
     lens: Lens
 
 
-class There(NamedTuple):
+class KeyframeDepths(NamedTuple):
     """The keyframes.
 
     Attributes:
@@ -105,12 +106,12 @@ class There(NamedTuple):
 
 
 class Points(NamedTuple):
-    """What the keyframes saw.
+    """Static points that the keyframes saw.
 
     Attributes:
         cam_m: Points (N, 3) [m, frame of the keyframe's camera].
         seen_in: The keyframe of each, (N,) int64.
-        px: Where they come to lie in the present image, column first, (N, 2) int32; −1 where outside.
+        px: Their projections into the present image, column first, (N, 2) int32; −1 where outside.
         z_m: How deep (N,).
     """
 
@@ -121,11 +122,11 @@ class Points(NamedTuple):
 
 
 class PointVerdicts(NamedTuple):
-    """What is found out of points.
+    """Results of the point test.
 
     Attributes:
         verdict: Written for the chosen points (N,) uint8.
-        before_px: The pixel that shows what stands before a point (N, 2) int32, written where something does.
+        before_px: The pixel of a point's occluder (N, 2) int32, written where there is one.
     """
 
     verdict: U8
@@ -133,7 +134,7 @@ class PointVerdicts(NamedTuple):
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def project(points: Points, there: There, lens: Lens, height: int, width: int) -> None:
+def project(points: Points, there: KeyframeDepths, lens: Lens, height: int, width: int) -> None:
     """Write `px` and `z_m` of the points for an image of a size."""
     T = there.T_here_cam
     for i in range(len(points.cam_m)):
@@ -152,7 +153,7 @@ def project(points: Points, there: There, lens: Lens, height: int, width: int) -
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def judge_points(
-    chosen: I64, points: Points, here: Here, there: There, window: I32, limits: Limits, judged: PointVerdicts
+    chosen: I64, points: Points, here: Here, there: KeyframeDepths, window: I32, limits: Limits, judged: PointVerdicts
 ) -> None:
     """Test chosen points of keyframes against the present depth image (DynaSLAM III.C).
 
@@ -161,7 +162,7 @@ def judge_points(
         points: All points.
         here: The present depth image, whole.
         there: The keyframes.
-        window: Offsets (W, 2) int32, nearest first, at which something nearer is looked for.
+        window: Offsets (W, 2) int32, nearest first, at which something nearer is searched.
         limits: The numbers.
         judged: Written.
     """
@@ -192,7 +193,7 @@ def judge_points(
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _is_steep(points: Points, i: int, there: There, min_cosine: float) -> bool:
+def _is_steep(points: Points, i: int, there: KeyframeDepths, min_cosine: float) -> bool:
     """Return whether the angle at a point between its keyframe's camera and the present one is too large."""
     X, Y, Z, c, k = points.cam_m[i, 0], points.cam_m[i, 1], points.cam_m[i, 2], there.centres_m, points.seen_in[i]
     ax, ay, az = c[k, 0, 0] - X, c[k, 0, 1] - Y, c[k, 0, 2] - Z
@@ -203,7 +204,7 @@ def _is_steep(points: Points, i: int, there: There, min_cosine: float) -> bool:
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def _first_nearer(depth_m: F32, column: int, row: int, z: float, window: I32) -> tuple[int, int, float]:
-    """Return the pixel and depth of the nearest nearer one in a window; depth −1 where none is, 0 where none knows."""
+    """Return the pixel and depth of the nearest nearer one in a window; depth −1 if there is none, 0 if unknown."""
     known = False
     for k in range(len(window)):
         u, v = column + window[k, 0], row + window[k, 1]
@@ -244,11 +245,11 @@ def _place(here: Here, row: int, column: int) -> tuple[float, float, float]:
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def sees(there: There, k: int, lens: Lens, place_m: tuple[float, float, float], limits: Limits) -> int:
-    """Return what keyframe `k` says of a place [world]: AGREES, EMPTY or UNKNOWN.
+def sees(there: KeyframeDepths, k: int, lens: Lens, place_m: tuple[float, float, float], limits: Limits) -> int:
+    """Compare a place [world] with keyframe `k`: AGREES, EMPTY or UNKNOWN.
 
-    The pixel and the nearest and farthest of its neighbours are asked: one that agrees is enough, and all must lie
-    behind.
+    The pixel and the nearest and farthest of its neighbours are compared: one that agrees is enough; EMPTY if all lie
+        behind.
     """
     X, Y, Z = place_m
     T, depth_m = there.T_cam_world, there.depth_m
@@ -274,16 +275,16 @@ def sees(there: There, k: int, lens: Lens, place_m: tuple[float, float, float], 
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def grow(seeds: I32, here: Here, there: There, growth: Growth, limits: Limits, queue: I32, region: U8) -> None:
+def grow(seeds: I32, here: Here, there: KeyframeDepths, growth: Growth, limits: Limits, queue: I32, region: U8) -> None:
     """Grow regions on depth from seeds, breadth first, each by the running mean of what it has (DynaSLAM III.C).
 
-    What more keyframes saw at its present place than saw through it is never taken; with no keyframes, all may be.
-    They are asked once for each square of `CELL` pixels a side, about the pixel that comes first.
+    A pixel whose place more keyframes saw occupied than free is never added; without keyframes, all may be. They are
+    compared once for each square of `CELL` pixels a side, about the pixel that comes first.
 
     Args:
         seeds: Pixels (M, 2), column first.
         here: The present depth image, at any stride.
-        there: The keyframes that are asked.
+        there: The keyframes to compare with.
         growth, limits: The numbers.
         queue: Room for every pixel (h · w, 2).
         region: Where the result is written (h, w): 1 in a region, 0 outside; all 0 before.
@@ -329,8 +330,8 @@ def grow(seeds: I32, here: Here, there: There, growth: Growth, limits: Limits, q
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _said(here: Here, there: There, row: int, column: int, limits: Limits, asked: I8) -> int:
-    """Return what more keyframes say of a present pixel's place than say the opposite: AGREES, EMPTY or UNKNOWN."""
+def _said(here: Here, there: KeyframeDepths, row: int, column: int, limits: Limits, asked: I8) -> int:
+    """Return the majority of the keyframes on a present pixel's place: AGREES, EMPTY or UNKNOWN."""
     cell = row // CELL, column // CELL
     if asked[cell] == NOT_ASKED:
         votes, left, place_m = 0, len(there.depth_m), _place(here, row, column)

@@ -1,4 +1,4 @@
-"""DynaSLAM's rule for what moves: what a network says may move, and what multi-view geometry says does."""
+"""DynaSLAM's rule: dynamic is what a network masks, and what multi-view geometry finds."""
 
 from dataclasses import dataclass, field, replace
 
@@ -17,7 +17,9 @@ from stillroom.geometry.pixels import Shape, grown, values_at
 from stillroom.protocols import Parts
 
 NEAR = 0.05, 0.02
-"""Metres and radians that a pose may move after low-cost tracking before geometry is asked again: less than it sees."""
+"""Metres and radians that a pose may move after low-cost tracking before geometry runs again: less than its
+resolution.
+"""
 _VARIANCE_M2 = 0.001
 _DIFFERENT_M = 0.2
 UNION, GEOMETRY_FIRST = "union", "geometry-first"
@@ -31,13 +33,13 @@ class MultiViewConfig:
     The paper's and its code's are `dynamics.kind = "multiview-paper"` and `"multiview-code"` (see `presets`).
 
     Attributes:
-        network: Whether what may move counts as moving (N).
-        geometry: Whether multi-view geometry is asked (G).
-        combination: "union" of both masks (DynaSLAM's code), or "geometry-first" (its paper): where both found the
-            same thing, geometry's mask stands for it.
+        network: Whether what is potentially dynamic counts as dynamic (N).
+        geometry: Whether multi-view geometry is used (G).
+        combination: "union" of both masks (DynaSLAM's code), or "geometry-first" (its paper): where both found the same
+            object, geometry's mask is used.
         overlap_share: For "geometry-first": both found the same when geometry covers this share of a network's mask.
-        dilation_px: How far geometry's mask is grown, as an ellipse; keypoints on its border go with it. A network's
-            mask is grown where it is made (`semantics.regions.dilate_px`).
+        dilation_px: Dilation of geometry's mask, by an ellipse; keypoints on its border are dropped too. A network's
+            mask is dilated where it is made (`semantics.regions.dilate_px`).
         test: The geometry.
     """
 
@@ -58,18 +60,18 @@ class MultiViewSieve:
     """Sieve 2 of `dynaslam`."""
 
     def __init__(self, config: MultiViewConfig) -> None:
-        """Start without a past."""
+        """Start without keyframes."""
         self.config = config
         self.geometry = config.test.build()
         self._quick: ImageMemory[tuple[Bool | None]] = ImageMemory(*NEAR)
         self._judged: ImageMemory[Bool] = ImageMemory()
 
     def judge(self, question: Question) -> Motion:
-        """Judge every keypoint by the mask that it lies in.
+        """Classify every keypoint by the mask.
 
-        Geometry is asked once an image, under the pose of low-cost tracking (DynaSLAM III.B); where there is none, at
-        the local-map stage, and the stages before are judged by the network alone: their matches are of points that
-        were found to be static in the last frame. Under a mere guess of the pose everything would seem to move.
+        Geometry runs once an image, at the pose of low-cost tracking (DynaSLAM III.B); where there is none, at the
+        local-map stage, and the stages before use the network alone: their matches are of points that were found to be
+        static in the last frame. With only a predicted pose everything would seem to move.
         """
         found = self._mask(question) if self.config.geometry else None
         moving = self._moving(found, question.known)
@@ -77,18 +79,18 @@ class MultiViewSieve:
         return Motion(~values_at(moving, question.frame.keypoints.raw_px), moving)
 
     def remember(self, frame: Frame, T_cam_world: F64, keyframe: int) -> None:
-        """Note what moves in the frame; a keyframe's depth is kept."""
+        """Store what is dynamic in the frame; a keyframe's depth is kept."""
         moving = self._judged.of(frame.image)
         if moving is not None and self.config.geometry:
             self.geometry.views.note(frame, T_cam_world, moving, keyframe)
 
     def corrected(self, T_new_old: F64) -> None:
-        """Move the memory along."""
+        """Correct the stored poses."""
         self.geometry.views.follow(T_new_old)
         self._quick.forget()
 
     def _mask(self, question: Question) -> Bool | None:
-        """Return geometry's mask (H, W): what low-cost tracking found, or this stage, where it may ask; else None."""
+        """Return geometry's mask (H, W): that of low-cost tracking, or of this stage, where it may run; else None."""
         frame, T_cam_world = question.frame, question.T_cam_world
         if question.stage is Stage.LOW_COST:
             found = self.geometry.mask(frame, T_cam_world, question.world)
@@ -99,7 +101,7 @@ class MultiViewSieve:
         return self.geometry.mask(frame, T_cam_world, question.world) if question.stage is Stage.LOCAL_MAP else None
 
     def _moving(self, found: Bool | None, known: Semantics) -> Bool:
-        """Return what moves (H, W) by both accounts; an array of its own."""
+        """Return the union of both masks (H, W), as a new array."""
         moving = np.zeros((known.height, known.width), dtype=np.bool_)
         if self.config.network and known.has_any:
             if found is not None and self.config.combination == GEOMETRY_FIRST:
@@ -112,7 +114,7 @@ class MultiViewSieve:
 
 
 def without_found(known: Semantics, found: Bool, share: float) -> Bool:
-    """Return what may move (H, W) without the objects of which geometry found (H, W) at least a share."""
+    """Return what is potentially dynamic (H, W) without objects of which geometry found (H, W) at least a share."""
     kept = [thing for thing in known.objects if _both(thing, found) < share * thing.area_px]
     return union_of(kept, known.height, known.width)
 

@@ -1,4 +1,4 @@
-"""What the last keyframes saw: small depth images, and points to look for in the present image."""
+"""The last keyframes: subsampled depth images, and points to project into the present image."""
 
 from collections import deque
 from dataclasses import dataclass, field, replace
@@ -14,29 +14,29 @@ from stillroom.geometry.arrays import F32, F64, I64, Bool
 from stillroom.geometry.pixels import Shape, element, values_at
 
 STRIDE = 4
-"""Every fourth pixel of a keyframe's depth image is kept."""
+"""Stride of a keyframe's stored depth image [px]."""
 
 NEAREST, FARTHEST, SPREAD = "nearest", "farthest", "spread"
 CHOICES = (NEAREST, FARTHEST, SPREAD)
 
 DISTANCE_WEIGHT, ROTATION_WEIGHT = 0.7, 0.3
-"""How the two differences of pose count, each as a share of the largest (docs/reference.md#dynaslam)."""
+"""Weights of the two differences of pose, each as a share of the largest (docs/reference.md#dynaslam)."""
 
 
 @dataclass(frozen=True)
 class KeyframesConfig:
-    """Which keyframes are asked.
+    """Which keyframes are compared.
 
     Attributes:
-        kept: Keyframes whose depth is remembered; the oldest goes first.
-        asked: Of those, how many are asked about a frame.
-        least: With fewer than this there is no answer.
+        kept: Keyframes whose depth is stored; the oldest is dropped first.
+        asked: Of those, how many a frame is compared with.
+        least: With fewer than this there is no result.
         choice: "nearest" or "farthest" by distance and rotation, or "spread": evenly over time.
         max_turn_rad: A keyframe that looks farther away than this does not overlap.
         far_m: Points farther from the keyframe than this are not used.
-        grid_px: Distance of the pixels that are points beside the keypoints; 0 for keypoints only.
-        apart_s: Depth and colour are up to this far apart in time: when the camera turns, depth is displaced, and what
-            lies as near to an edge is not believed.
+        grid_px: Distance of the grid pixels that are points in addition to the keypoints; 0 for keypoints only.
+        apart_s: Depth and colour are up to this far apart in time: when the camera turns, depth is displaced, and depth
+            that near to an edge is ignored.
     """
 
     kept: int = bounded(20, least=1)
@@ -67,7 +67,7 @@ class KeyframeView:
 
 @dataclass(frozen=True)
 class AskedViews:
-    """The keyframes that are asked about a frame, as arrays.
+    """The keyframes that a frame is compared with, as arrays.
 
     Attributes:
         T_world_cam: Their poses as known now (K, 4, 4).
@@ -96,7 +96,7 @@ class _Noted:
 
 
 class KeyframeViews:
-    """The last keyframes. Told of every frame, and which of them became keyframes."""
+    """The last keyframes. Updated with every frame; those that became keyframes are stored."""
 
     def __init__(self, config: KeyframesConfig) -> None:
         """Start without any."""
@@ -105,7 +105,7 @@ class KeyframeViews:
         self._last: _Noted | None = None
 
     def __len__(self) -> int:
-        """How many keyframes are remembered."""
+        """How many keyframes are stored."""
         return len(self._views)
 
     @property
@@ -114,7 +114,7 @@ class KeyframeViews:
         return sum(view.depth_m.nbytes + view.points_cam_m.nbytes for view in self._views)
 
     def displaced_px(self, frame: Frame, T_cam_world: F64) -> float:
-        """Return how far a frame's depth may be displaced by the turn of the camera since the frame noted before."""
+        """Return how far a frame's depth may be displaced by the turn of the camera since the frame before."""
         if self._last is None or frame.timestamp_s < self._last.timestamp_s:
             return 0.0
         elapsed_s = frame.timestamp_s - self._last.timestamp_s
@@ -124,12 +124,12 @@ class KeyframeViews:
         return self.config.apart_s * frame.camera.fx * turn_rad / elapsed_s
 
     def note(self, frame: Frame, T_cam_world: F64, moving: Bool, keyframe: int = -1) -> None:
-        """Take note of a frame; keep what it saw if it became a keyframe.
+        """Process a frame; store its depth if it became a keyframe.
 
         Args:
             frame: The frame.
             T_cam_world: Its pose (4, 4).
-            moving: What moves in it (H, W).
+            moving: Its dynamic pixels (H, W).
             keyframe: Its id in the map; −1 where it is no keyframe.
         """
         displaced_px = self.displaced_px(frame, T_cam_world)
@@ -138,12 +138,12 @@ class KeyframeViews:
             self._views.append(self._view(keyframe, frame, moving, displaced_px))
 
     def follow(self, T_new_old: F64) -> None:
-        """Move the pose noted last by a motion (4, 4) of the world's coordinates; the map knows the keyframes'."""
+        """Move the last pose by a motion (4, 4) of the world's coordinates; the map knows the keyframes'."""
         if self._last is not None:
             self._last = replace(self._last, T_cam_world=self._last.T_cam_world @ se3.inverse(T_new_old))
 
     def ask(self, T_world_cam: F64, world: Map) -> AskedViews | None:
-        """Return the keyframes that overlap a pose (4, 4) best, or as the config wants them; None if too few."""
+        """Return the keyframes to compare a pose (4, 4) with, as the config chooses; None if too few."""
         views = [view for view in self._views if view.keyframe < len(world.keyframes)]
         poses = np.array([world.keyframe_pose(view.keyframe) for view in views]).reshape(-1, 4, 4)
         apart = se3.inverse(poses) @ T_world_cam
@@ -163,7 +163,7 @@ class KeyframeViews:
         )
 
     def _choose(self, apart: F64) -> I64:
-        """Return the places of those to ask, given present poses (K, 4, 4) in each, oldest first."""
+        """Return the indices of those to compare with, given present poses (K, 4, 4) in each, oldest first."""
         n = min(self.config.asked, len(apart))
         if self.config.choice == SPREAD:
             return np.unique(np.rint(np.linspace(0, len(apart) - 1, n)).astype(np.int64))
@@ -185,7 +185,7 @@ class KeyframeViews:
         return KeyframeView(keyframe, with_neighbours(small, 1 + round(displaced_px / STRIDE)), points)
 
     def _on_a_grid(self, frame: Frame, small_m: F32) -> F64:
-        """Return the points (P, 3) of every so many-th pixel of a small depth image."""
+        """Return the points (P, 3) of a small depth image at the stride of the grid."""
         step = max(1, round(self.config.grid_px / STRIDE))
         depth_m = small_m[::step, ::step]
         row, column = np.nonzero((depth_m > 0) & (depth_m < self.config.far_m))
@@ -194,7 +194,7 @@ class KeyframeViews:
 
 
 def with_neighbours(depth_m: F32, reach: int = 1) -> F32:
-    """Return depths (h, w), 0 where unknown, with the nearest and farthest known so many pixels around, (h, w, 3)."""
+    """Return depths (h, w), 0 where unknown, with the nearest and farthest known within `reach` pixels, (h, w, 3)."""
     square = element(reach, Shape.SQUARE)
     nearest = cv2.erode(np.where(depth_m > 0, depth_m, np.float32(np.inf)), square)
     nearest[np.isinf(nearest)] = 0

@@ -1,1 +1,1 @@
-"""What places look like: a vocabulary of descriptors, and an index of the keyframes by their words."""
+"""Place recognition: a vocabulary of descriptors, and an index of the keyframes by their words."""

@@ -1,4 +1,4 @@
-"""Growing a vocabulary: k-majority clustering of descriptors, level by level, and the rarity of its words."""
+"""Growing a vocabulary: k-majority clustering of descriptors, level by level, and the rarity (idf) of its words."""
 
 from collections import deque
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ from stillroom.geometry.hamming import hamming, words
 
 @dataclass(frozen=True)
 class GrowthConfig:
-    """The shape of the tree, and how it comes about.
+    """The shape of the tree, and how it is trained.
 
     Attributes:
         branching: Children of a node.
@@ -22,7 +22,7 @@ class GrowthConfig:
         min_descriptors: A node with fewer descriptors than this stays a leaf.
         iterations: Rounds of assigning and voting at each node, at most.
         direct_level: Depth of the branches by which images are matched.
-        seed: Where random choices start.
+        seed: Seed of the random choices.
     """
 
     branching: int = 10
@@ -35,7 +35,7 @@ class GrowthConfig:
 
 @dataclass
 class _Growing:
-    """A tree in the making: a list for each column of the finished one."""
+    """A tree under construction: a list for each column of the finished one."""
 
     centres: list[U8]
     first_child: list[int]
@@ -47,7 +47,7 @@ class _Growing:
         return _Growing(list(tree.centres), tree.first_child.tolist(), tree.n_children.tolist(), tree.word.tolist())
 
     def add_children(self, node: int, centres: U8) -> range:
-        """Hang leaves under a node and return them; the node's word goes to the first of them."""
+        """Add leaves under a node and return them; the node's word is given to the first of them."""
         first = len(self.centres)
         word, next_word = self.word[node], max(self.word) + 1
         self.first_child[node], self.n_children[node], self.word[node] = first, len(centres), -1
@@ -79,13 +79,13 @@ def one_word(direct_level: int) -> Vocabulary:
 
 
 def grow(vocabulary: Vocabulary, images: Sequence[U8], config: GrowthConfig | None = None) -> Vocabulary:
-    """Split leaves that many descriptors of one's own images fall on; weigh all words by these images.
+    """Split leaves that many descriptors of the given images reach; weight all words by these images.
 
-    Words keep their ids; a word that is split goes on as the first of its parts. What was indexed by the old
+    Words keep their ids; a word that is split keeps its id in the first of its parts. What was indexed by the old
     vocabulary must be indexed again.
 
     Args:
-        vocabulary: What to start from.
+        vocabulary: The initial vocabulary.
         images: The descriptors (N, 32) of each image.
         config: The shape of the tree; `depth` bounds how deep it may get.
     """
@@ -113,7 +113,7 @@ def grow(vocabulary: Vocabulary, images: Sequence[U8], config: GrowthConfig | No
 
 
 def rarity(vocabulary: Vocabulary, images: Sequence[U8]) -> F32:
-    """Return log(images / images with the word in it) of each word (W,); words in none count as in half of one."""
+    """Return log(images / images with the word in it) of each word (W,); a word in none counts as in half an image."""
     n_with = np.zeros(int(vocabulary.word.max()) + 1)
     for image in images:
         n_with[np.unique(vocabulary.quantise(image)[0])] += 1

@@ -1,4 +1,4 @@
-"""Which keyframes say similar things: an inverted file and a direct index, in arrays."""
+"""Keyframes with similar bags of words: an inverted file and a direct index, in arrays."""
 
 import threading
 from collections.abc import Callable
@@ -31,7 +31,7 @@ USED, NEXT = 2 * ENTRIES, 2 * ENTRIES + 1
 """A block of the inverted file is one line of the processor's cache: seven keyframes of a word, each with its weight (a
 float32 in the bits of an int32), how many of the seven there are, and the next block."""
 N_BLOCKS, FREE = 0, 1
-"""What the kernels keep count of: blocks that were ever used, and the first of those given back."""
+"""Counters of the kernels: blocks that were ever used, and the first of the free list."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Resemblance:
 
     Attributes:
         keyframes: Their ids (C,) int32, ascending.
-        scores: How alike they are (C,) float64, 1 for the same image: 1 − |v − w| / 2 of the two bags.
+        scores: Similarity (C,) float64, 1 for the same image: 1 − |v − w| / 2 of the two bags.
         n_common: Number of words that both have (C,) int32.
     """
 
@@ -53,15 +53,15 @@ class Resemblance:
         return len(self.keyframes)
 
 
-class _Said(Table):
-    """What keyframes say, keyframe after keyframe."""
+class _BagEntries(Table):
+    """Words and weights of the keyframes, keyframe after keyframe."""
 
     word = Column(np.int32, fill=-1)
     weight = Column(np.float32)
 
 
 class _Members(Table):
-    """A row for each keyframe id: where what it says and its nodes lie."""
+    """A row for each keyframe id: where its words and its nodes are stored."""
 
     first_word = Column(np.int64)
     n_words = Column(np.int64)
@@ -77,7 +77,7 @@ class _Nodes(Table):
 
 
 def _alone(work: "Callable[Concatenate[PlaceIndex, P], T]") -> "Callable[Concatenate[PlaceIndex, P], T]":
-    """Let a method run on one thread at a time."""
+    """Let a method run on one thread at a time, by the index's lock."""
 
     @wraps(work)
     def held(index: "PlaceIndex", /, *args: P.args, **kwargs: P.kwargs) -> T:
@@ -88,15 +88,15 @@ def _alone(work: "Callable[Concatenate[PlaceIndex, P], T]") -> "Callable[Concate
 
 
 class PlaceIndex:
-    """Keyframes by their words. What a removed one said keeps its place in memory, but costs no time.
+    """Keyframes by their words. The words of a removed one stay in memory, but cost no time.
 
-    It may be asked from one thread while another adds to it.
+    It may be queried on one thread while another adds to it.
     """
 
     def __init__(self, n_words: int) -> None:
         """Start empty, for a vocabulary of so many words."""
         self.n_words = n_words
-        self._said, self._members, self._nodes = _Said(65536), _Members(256), _Nodes(65536)
+        self._entries, self._members, self._nodes = _BagEntries(65536), _Members(256), _Nodes(65536)
         self._first_block: I32 = np.full(n_words, -1, dtype=np.int32)
         self._blocks: I32 = np.empty((16384, 2 * ENTRIES + 2), dtype=np.int32)
         self._counts: I64 = np.array([0, -1])
@@ -118,7 +118,7 @@ class PlaceIndex:
     @property
     def n_bytes(self) -> int:
         """Memory in use for keyframes."""
-        tables = (self._said, self._members, self._nodes)
+        tables = (self._entries, self._members, self._nodes)
         in_tables = sum(view.nbytes for table in tables for view in table.views.values())
         return in_tables + int(self._blocks[: self._counts[N_BLOCKS]].nbytes)
 
@@ -129,9 +129,9 @@ class PlaceIndex:
         members = self._members
         if keyframe >= len(members):
             members.append(keyframe + 1 - len(members))
-        said = self._said.append(len(bag), word=bag.words, weight=bag.weights)
+        entries = self._entries.append(len(bag), word=bag.words, weight=bag.weights)
         nodes = self._nodes.append(len(bag.nodes), node=bag.nodes)
-        members.first_word[keyframe], members.n_words[keyframe] = said.start, len(bag)
+        members.first_word[keyframe], members.n_words[keyframe] = entries.start, len(bag)
         members.first_node[keyframe], members.n_nodes[keyframe] = nodes.start, len(bag.nodes)
         members.is_in[keyframe] = True
         self._reserve(len(bag))
@@ -142,12 +142,12 @@ class PlaceIndex:
         """Take a keyframe out, if it is in."""
         if keyframe not in self:
             return
-        leave(keyframe, self._said.word[self._rows(keyframe)], self._blocks, self._first_block, self._counts)
+        leave(keyframe, self._entries.word[self._rows(keyframe)], self._blocks, self._first_block, self._counts)
         self._members.is_in[keyframe] = False
 
     @_alone
     def bag(self, keyframe: int) -> Bag:
-        """Return what a keyframe that is in says.
+        """Return the bag of words of a keyframe in the index.
 
         Raises:
             KeyError: It is not in.
@@ -155,11 +155,11 @@ class PlaceIndex:
         if keyframe not in self:
             raise KeyError(keyframe)
         rows = self._rows(keyframe)
-        return Bag(self._said.word[rows].copy(), self._said.weight[rows].copy(), self.nodes(keyframe))
+        return Bag(self._entries.word[rows].copy(), self._entries.weight[rows].copy(), self.nodes(keyframe))
 
     @_alone
     def nodes(self, keyframe: int) -> I32:
-        """Return the branch of each keypoint (N,) of a keyframe that is in; −1 for those that were left out.
+        """Return the branch of each keypoint (N,) of a keyframe in the index; −1 for those that were left out.
 
         Raises:
             KeyError: It is not in.
@@ -174,8 +174,8 @@ class PlaceIndex:
         """Find the keyframes that share words with an image.
 
         Args:
-            bag: What it says.
-            allowed: Which keyframe ids (K,) may answer; ids beyond its end may not. All where not given.
+            bag: Its bag of words.
+            allowed: Which keyframe ids (K,) may be returned; ids beyond its end may not. All by default.
         """
         n_members = len(self._members)
         may_answer = np.zeros(n_members, dtype=np.bool_)
@@ -206,14 +206,14 @@ class PlaceIndex:
 
 
 def score(first: Bag, second: Bag) -> float:
-    """Return how alike two images are by their words: 1 − |v − w| / 2, which is 1 for the same bag."""
+    """Return the similarity of two bags of words: 1 − |v − w| / 2, which is 1 for the same bag."""
     _, mine, theirs = np.intersect1d(first.words, second.words, assume_unique=True, return_indices=True)
     return float(np.minimum(first.weights[mine], second.weights[theirs]).sum(dtype=np.float64))
 
 
 @njit(nogil=True, cache=True)
 def enter(keyframe: int, words: I32, weight_bits: I32, blocks: I32, first_block: I32, counts: I64) -> None:
-    """Note a keyframe under each of its words (W,)."""
+    """Add a keyframe to each of its words (W,)."""
     for i in range(len(words)):
         block = first_block[words[i]]
         if block < 0 or blocks[block, USED] == ENTRIES:
@@ -233,7 +233,7 @@ def enter(keyframe: int, words: I32, weight_bits: I32, blocks: I32, first_block:
 
 @njit(nogil=True, cache=True)
 def leave(keyframe: int, words: I32, blocks: I32, first_block: I32, counts: I64) -> None:
-    """Strike a keyframe out under each of its words (W,); the newest entry of a word takes the place that it leaves."""
+    """Remove a keyframe from each of its words (W,); the newest entry of a word fills the gap."""
     for i in range(len(words)):
         head = first_block[words[i]]
         block, place = head, 0
@@ -255,7 +255,7 @@ def leave(keyframe: int, words: I32, blocks: I32, first_block: I32, counts: I64)
 def resemble(
     words: I32, weights: F32, first_block: I32, blocks: I32, blocks_as_float: F32, may_answer: Bool
 ) -> tuple[F64, I32]:
-    """Add up for each keyframe (K,) what it shares with the words (W,): the lesser weights, and their number.
+    """Sum for each keyframe (K,) over the words (W,) that it shares: the lesser weights, and their number.
 
     With weights that sum to 1, the sum of the lesser ones is 1 − |v − w| / 2.
     """
@@ -273,18 +273,18 @@ def resemble(
     return scores, n_common
 
 
-# From keyframes that share words to a few places worth a closer look (ORB-SLAM2's two queries).
+# From keyframes that share words to a few candidate places (ORB-SLAM2's two queries).
 
 
 def best_places(found: Resemblance, covisibility: Covisibility, min_score: float = 0.0) -> I32:
-    """Return the keyframes (C,) that stand for the most similar places, the best place first.
+    """Return the best keyframe (C,) of each of the most similar places, the best place first.
 
-    Scores of covisible keyframes add up to that of a place, for which its best keyframe then stands.
+    The score of a place is the sum over covisible keyframes.
 
     Args:
-        found: What the index answered.
-        covisibility: Which keyframes see the same.
-        min_score: A keyframe must be as alike as this; loop closing asks for what its neighbours reach.
+        found: Result of a query.
+        covisibility: The covisibility graph.
+        min_score: Least similarity of a keyframe; loop closing takes the least of the covisible neighbours.
     """
     if len(found) == 0:
         return np.zeros(0, dtype=np.int32)
@@ -301,7 +301,7 @@ def best_places(found: Resemblance, covisibility: Covisibility, min_score: float
     return np.array(sorted(kept, key=lambda keyframe: (-totals[keyframe], keyframe)), dtype=np.int32)
 
 
-# What a map remembers of its places: the keyframes of the map in an index, kept up to date.
+# The place index of a map, kept up to date with its keyframes.
 
 
 @dataclass(frozen=True)
@@ -319,7 +319,7 @@ class PlacesConfig:
     growth: GrowthConfig = field(default_factory=lambda: GrowthConfig(depth=6, min_descriptors=50))
 
     def build(self, parts: Parts) -> "PlaceMemory":
-        """Return the memory of a map's places, empty.
+        """Return the place memory of a map, empty.
 
         Raises:
             VocabularyError: The vocabulary cannot be read.
@@ -328,11 +328,11 @@ class PlacesConfig:
 
 
 class PlaceMemory:
-    """Knows the keyframes of a map by what they look like. Only static keypoints have a say.
+    """The keyframes of a map by their words. Only static keypoints are used.
 
     Attributes:
         vocabulary: The words.
-        index: The keyframes by their words; loop closing asks it too.
+        index: The keyframes by their words; loop closing queries it too.
     """
 
     def __init__(self, vocabulary: Vocabulary, world: Map, config: PlacesConfig | None = None) -> None:
@@ -351,7 +351,7 @@ class PlaceMemory:
             self.grow()
 
     def grow(self) -> None:
-        """Split words that say too much in this map, by its own keyframes, and index these again."""
+        """Split words that are too frequent in this map, by its own keyframes, and index these again."""
         self._since_grown = 0
         table = self.world.keypoints
         rows = [self.world.rows(int(keyframe)) for keyframe in self.world.alive_keyframes()]
@@ -361,7 +361,7 @@ class PlaceMemory:
         self.remember_all()
 
     def remember_all(self) -> None:
-        """Add all keyframes of the map that are not in yet, as for a map that was read from a file."""
+        """Add all keyframes of the map that are not in the index yet, as for a map that was read from a file."""
         self.forget_culled()
         for keyframe in self.world.alive_keyframes():
             if int(keyframe) not in self.index:
@@ -374,21 +374,21 @@ class PlaceMemory:
             self.index.remove(int(keyframe))
 
     def bag_of_keyframe(self, keyframe: int) -> Bag:
-        """Return what the static keypoints of a keyframe say; its nodes run over all keypoints."""
+        """Return the bag of words of a keyframe's static keypoints; its nodes cover all keypoints."""
         rows = self.world.rows(keyframe)
         table = self.world.keypoints
         return self.vocabulary.bag(table.descriptors[rows], table.is_static[rows])
 
     def bag_of_frame(self, frame: Frame) -> Bag:
-        """Return what the keypoints say that sieve 1 left in a frame."""
+        """Return the bag of words of the keypoints that sieve 1 left in a frame."""
         return self.vocabulary.bag(frame.keypoints.descriptors, frame.is_static)
 
     def candidates(self, bag: Bag, allowed: Bool | None = None, at_most: int | None = None) -> I32:
-        """Return the keyframes (C,) that stand for the places most like an image, the best first.
+        """Return the best keyframe (C,) of each of the places most similar to an image, the best first.
 
         Args:
-            bag: What the image says.
-            allowed: Which keyframe ids (K,) may answer; all where not given.
+            bag: Bag of words of the image.
+            allowed: Which keyframe ids (K,) may be returned; all by default.
             at_most: How many to return.
         """
         self.forget_culled()

@@ -1,4 +1,4 @@
-"""A tree of binary descriptors: which word is this keypoint, and what does an image say?"""
+"""A vocabulary tree of binary descriptors: words of keypoints, and bags of words of images."""
 
 import hashlib
 import zipfile
@@ -29,7 +29,7 @@ def match_by_branch(
 
     Args:
         first, second: The descriptors.
-        first_nodes, second_nodes: The branch of each, (N,) and (M,), as `Bag.nodes` says; −1 takes no part.
+        first_nodes, second_nodes: The branch of each, (N,) and (M,), as in `Bag.nodes`; −1 is ignored.
         max_bits: Largest distance.
         ratio: The best must be nearer than this share of the second best.
 
@@ -69,7 +69,7 @@ def match_within(
 
 @dataclass(frozen=True)
 class Bag:
-    """What an image says: its words, weighted by how often and how rare they are.
+    """The bag of words of an image, weighted by frequency and rarity (tf–idf).
 
     Attributes:
         words: Ids of the words in it (W,) int32, ascending.
@@ -114,7 +114,7 @@ class Vocabulary:
 
     @cached_property
     def digest(self) -> str:
-        """Sixteen hexadecimal digits that name this very vocabulary, for files that refer to it."""
+        """Sixteen hexadecimal digits that identify this vocabulary, for files that refer to it."""
         found = hashlib.sha256(str(self.direct_level).encode())
         for part in (self.centres, self.first_child, self.n_children, self.word, self.idf):
             found.update(np.ascontiguousarray(part).tobytes())
@@ -128,11 +128,11 @@ class Vocabulary:
         return self.word[leaf], nodes
 
     def bag(self, descriptors: U8, usable: Bool | None = None) -> Bag:
-        """Return what the descriptors (N, 32) of an image say.
+        """Return the bag of words of an image's descriptors (N, 32).
 
         Args:
             descriptors: Of all its keypoints.
-            usable: Which of them (N,) have a say; all where not given. Movable ones never should.
+            usable: Which of them (N,) are used; all by default. Potentially dynamic ones never should be.
         """
         chosen = np.arange(len(descriptors)) if usable is None else np.flatnonzero(usable)
         nodes = np.full(len(descriptors), -1, dtype=np.int32)
@@ -199,7 +199,7 @@ def load_vocabulary(path: Path | None = None) -> Vocabulary:
 
 
 def _check(found: Vocabulary, place: Path) -> None:
-    """Refuse a tree that the kernels would leave."""
+    """Refuse a tree on which the kernels would read out of bounds."""
     n_nodes, inner = len(found.centres), found.n_children > 0
     last = found.first_child[inner] + found.n_children[inner]
     fits = n_nodes > 0 and found.centres.shape == (n_nodes, 32) and found.centres.dtype == np.uint8
@@ -207,12 +207,12 @@ def _check(found: Vocabulary, place: Path) -> None:
     fits = fits and bool(np.all(last <= n_nodes) and np.all(found.first_child[inner] > np.flatnonzero(inner)))
     leaf = found.word[~inner]
     if not (fits and bool(np.all((leaf >= 0) & (leaf < found.n_words)))):
-        raise VocabularyError(f"{place}: damaged; its tree does not hold together; fetch or train it again")
+        raise VocabularyError(f"{place}: damaged: its tree is inconsistent; fetch or train it again")
 
 
 @njit(nogil=True, cache=True)
 def descend(descriptors: U64, centres: U64, first_child: I32, n_children: I32, direct_level: int) -> tuple[I32, I32]:
-    """Follow each descriptor (N, 4) from the root to the nearest child, again and again; of equals to the first.
+    """Descend with each descriptor (N, 4) from the root to the nearest child, to the first of equals, down to a leaf.
 
     Returns:
         The leaf (N,), and the node (N,) passed on `direct_level`, or the leaf where the tree ends above.

@@ -44,7 +44,7 @@ def ray_grid(camera: Camera, height: int, width: int, stride: int) -> RayGrid:
         ValueError: The stride is below 1, or the image has no pixels.
     """
     if stride < 1 or height < 1 or width < 1:
-        raise ValueError(f"a grid of stride {stride} on {width} x {height} pixels cannot be")
+        raise ValueError(f"a grid of stride {stride} on {width} x {height} pixels is not possible")
     rows = np.arange(min(stride // 2, height - 1), height, stride, dtype=np.int32)
     columns = np.arange(min(stride // 2, width - 1), width, stride, dtype=np.int32)
     u, v = np.meshgrid(columns, rows)

@@ -1,4 +1,4 @@
-"""The clusters of a cloud whose boxes' foregrounds are clustered apart from the rest."""
+"""Clusters of a cloud in which the foreground of each box is clustered separately."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -26,8 +26,8 @@ def spread_labels(
 ) -> I16:
     """Give every pixel the label of the sample around it that is nearest in depth.
 
-    This is OC-SLAM's Eq. 5 (whose print lacks the division by z) read backwards: a point of an organised cloud knows
-    the pixel that it came from, so nothing is projected, no cluster gets holes, and edges follow the depth image.
+    This is OC-SLAM's Eq. 5 (whose print lacks the division by z) inverted: a point of an organised cloud has a known
+    pixel, so nothing is projected, no cluster gets holes, and edges follow the depth image.
 
     Args:
         labels: Labels of the samples (h, w).
@@ -100,7 +100,7 @@ def spread_into(
                         image[r, c] = label
 
 
-# What of a box's pixels is the thing in the box: those near the depth that most of them have.
+# The foreground of a box: pixels near the depth that most of them have.
 
 
 def claim_foregrounds(
@@ -112,18 +112,18 @@ def claim_foregrounds(
     half_depth_m: float,
     min_share: float,
 ) -> I16:
-    """Give the samples of each box's foreground to the box, so that they can be clustered apart from the rest.
+    """Give the samples of each box's foreground to the box, so that they can be clustered separately.
 
     The foreground's depth is the nearest at which a window over the depths holds many of the box's free samples. Boxes
-    claim from the nearest on, and the depth of the next is taken from what is left: of a person half behind another,
-    the rest.
+    claim samples, the nearest box first, and the depth of the next is taken from what is left: of a person half behind
+        another, the rest.
 
     Args:
         z_m: Depths of the samples (h, w) [m].
         free: Which of them may be claimed (h, w): known, and on no plane.
         rows, columns: Their pixels (h,) and (w,) [px].
         boxes_xyxy_px: Edges of the boxes (B, 4) [px].
-        half_depth_m: Half the depth that a thing in a box takes up [m].
+        half_depth_m: Half the depth extent of an object in a box [m].
         min_share: A box claims nothing where its foreground has less than this share of its samples.
 
     Returns:
@@ -132,7 +132,7 @@ def claim_foregrounds(
     owner = np.full(z_m.shape, NO_BOX, dtype=np.int16)
     windows = [_window(box, rows, columns) for box in boxes_xyxy_px]
     first = [_mode(z_m[at][free[at]], half_depth_m) for at in windows]
-    # Of boxes at one depth the one with most support goes first; the other's foreground may be what is left of it.
+    # Of boxes at one depth the one with most support claims first; the other's foreground may be what is left of it.
     for k in sorted(range(len(windows)), key=lambda k: (round(first[k][0] / half_depth_m), -first[k][1], k)):
         at = windows[k]
         left = free[at] & (owner[at] == NO_BOX)
@@ -153,7 +153,7 @@ def _window(box: Floats, rows: I32, columns: I32) -> tuple[slice, slice]:
 def _mode(z_m: F32, half_depth_m: float) -> tuple[float, int]:
     """Return the middle of the nearest depth window that holds many samples [m], and how many.
 
-    Many is `MANY` of what any window holds: people stand before furniture more often than behind it.
+    Many is `MANY` of what any window holds: people stand in front of furniture more often than behind it.
     """
     if len(z_m) == 0:
         return 0.0, 0
@@ -177,8 +177,8 @@ class SegmentLimits:
         tolerance_m: Points no further apart than this are one cluster [m] …
         tolerance_share: … or than this share of their depth, if it is more: points lie thinner far away.
         min_points: Fewest points of a cluster, after the voxel filter.
-        limb_share: Largest size of a piece beyond a box, as a share of the box's cluster, that is taken for a limb
-            which the box cut off.
+        limb_share: Largest size of a piece beyond a box, as a share of the box's cluster, that counts as a limb which
+            the box cut off.
         limb_reach: How far beyond the box it may reach, as a share of the box's width.
     """
 
@@ -212,7 +212,7 @@ class CloudSegments:
 
 @dataclass(frozen=True)
 class _Pieces:
-    """Euclidean clusters before they are put together: of samples (N,), of voxels (M,) with means and weights."""
+    """Euclidean clusters before they are merged: of samples (N,), of voxels (M,) with means and weights."""
 
     of_sample: I32
     of_voxel: I32
@@ -228,9 +228,10 @@ class _Pieces:
 def segment(
     points_m: F32, free: Bool, owner: I16, boxes_xyxy_px: Floats, grid: RayGrid, limits: SegmentLimits
 ) -> CloudSegments:
-    """Cluster the foreground of each box, and apart from them what belongs to none (OC-SLAM 2.4).
+    """Cluster the foreground of each box, and separately what belongs to none (OC-SLAM 2.4).
 
-    What a box's edge cut off a person, a hand or the head, is given back; crumbs in a box join its largest cluster.
+    What a box's edge cut off a person, a hand or the head, is merged with it; small fragments in a box join its largest
+    cluster.
 
     Args:
         points_m: Organised cloud (h, w, 3) [m, camera frame].
@@ -270,7 +271,7 @@ def _pieces(points_m: F32, owner: I16, n_boxes: int, limits: SegmentLimits) -> _
 
 
 def _gather_crumbs(pieces: _Pieces, target: I32, limits: SegmentLimits) -> None:
-    """Give what is too small for a cluster, in a box's foreground, to the largest there: what it is a crumb of."""
+    """Merge fragments too small for a cluster, in a box's foreground, with the largest cluster there."""
     sizes = pieces.sizes
     for box in range(int(pieces.box.max(initial=NO_BOX)) + 1):
         own = np.flatnonzero(pieces.box == box)
@@ -281,7 +282,7 @@ def _gather_crumbs(pieces: _Pieces, target: I32, limits: SegmentLimits) -> None:
 def _give_limbs_back(
     pieces: _Pieces, piece_of: I32, z_m: F32, boxes_px: Floats, grid: RayGrid, target: I32, limits: SegmentLimits
 ) -> None:
-    """Give small pieces beyond a box to the box's cluster that they touch most."""
+    """Merge small pieces beyond a box with the box's cluster that they touch most."""
     if not np.any(pieces.box >= 0):
         return
     total = np.bincount(target, pieces.sizes, len(target))
@@ -320,7 +321,7 @@ def _bounds(piece_of: I32, grid: RayGrid, n: int) -> tuple[F64, F64]:
 
 
 def _largest_first(pieces: _Pieces, target: I32, piece_of: I32, limits: SegmentLimits) -> CloudSegments:
-    """Put pieces together, drop what is too small, and measure what is left."""
+    """Merge pieces, drop what is too small, and measure the rest."""
     of_voxel = target[pieces.of_voxel]
     size = np.bincount(of_voxel, minlength=len(target))
     order = np.argsort(-size, kind="stable")[: int((size >= limits.min_points).sum())]

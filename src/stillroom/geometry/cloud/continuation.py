@@ -1,6 +1,6 @@
-"""Where a plane goes on beyond its tolerance, because the camera bends it or the floor does: cell by cell, smoothly.
+"""Growing a plane beyond its tolerance, where the camera distorts it or the floor is uneven: cell by cell, smoothly.
 
-A person before a wall stands a step from it, and the legs on a floor stand upright: neither is a continuation.
+A person in front of a wall is a depth step away, and legs on a floor are upright: neither continues the plane.
 """
 
 import math
@@ -42,7 +42,7 @@ def planes_of_cells(points: F32, plane_of: I16, cell: int, n_planes: int) -> I16
 
 
 class Reach(NamedTuple):
-    """How far a plane goes on.
+    """How far a plane may be grown.
 
     Attributes:
         max_misfit: Largest misfit of a cell's own plane [1/m].
@@ -72,7 +72,7 @@ def continue_planes(
         misfits: Misfit of each cell's own plane (rows, columns) [1/m].
         slopes: a, b, c of the planes (Q, 3).
         of_cell: Plane of each cell (rows, columns), −1 for none; written to.
-        reach: What a cell must be like.
+        reach: Limits on a cell.
 
     Returns:
         Plane of the cells that were added (rows, columns), −1 for the others.

@@ -13,7 +13,7 @@ from stillroom.geometry.cloud.voxels import cell_of_points, cells_of, slot_of, t
 
 EDGE = 1.0 + 1e-6  # of a cell, in tolerances: rounding must not put the two points of a pair two cells apart
 FORWARD = np.array([(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if (x, y, z) > (0, 0, 0)])
-"""Half of a cell's neighbours (13, 3); the other half have it among theirs."""
+"""Half of a cell's neighbours (13, 3); the other half is covered by symmetry."""
 
 
 def euclidean_clusters(points: Floats, tolerance: float) -> I32:
@@ -31,7 +31,7 @@ def euclidean_clusters(points: Floats, tolerance: float) -> I32:
     """
     exact = np.ascontiguousarray(points, dtype=np.float64).reshape(-1, 3)
     if not tolerance >= 0:
-        raise ValueError(f"a tolerance of {tolerance} cannot be")
+        raise ValueError(f"a tolerance of {tolerance} is not possible")
     if not np.all(np.isfinite(exact)):
         raise ValueError("points to be clustered must be finite")
     if len(exact) == 0:
@@ -48,7 +48,7 @@ def euclidean_clusters(points: Floats, tolerance: float) -> I32:
 
 
 def depth_scaled(points_m: Floats, tolerance_m: float, tolerance_share: float) -> F64:
-    """Bend space so that the tolerance is one unit everywhere, where it is to grow with depth.
+    """Transform space so that a tolerance that grows with depth is one unit everywhere.
 
     The spacing of points grows with depth, and so must the distance at which they count as neighbours: it is
     max(tolerance_m, tolerance_share · z). Near the camera the map is a mere scale; from the depth on where the two are

@@ -19,7 +19,7 @@ N_SUMS = 10
 """n, Σx, Σy, Σxx, Σxy, Σyy, Σq, Σxq, Σyq, Σqq, where q is the inverse depth."""
 
 
-# Passes over an organised cloud, for one plane: how far off the samples are, and how the camera bends it.
+# Passes over an organised cloud, for one plane: the misfits of the samples, and the camera's distortion of it.
 
 
 @njit(nogil=True, cache=True)
@@ -74,7 +74,7 @@ def parabola_sums(points: F32, off: F32, limit: float) -> tuple[F64, F64, int]:
 
 @njit(nogil=True, cache=True)
 def unbend(points: F32, off: F32, parabola: F64, max_bend: float) -> None:
-    """Take a parabola (6,), held within ± `max_bend` [1/m], off the misfits (h, w) of points (h, w, 3)."""
+    """Subtract a parabola (6,), clipped to ± `max_bend` [1/m], from the misfits (h, w) of points (h, w, 3)."""
     p = parabola
     for i in range(points.shape[0]):
         for j in range(points.shape[1]):

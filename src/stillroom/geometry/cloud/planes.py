@@ -1,4 +1,4 @@
-"""The large planes of an organised cloud: walls, floor, table tops. Nothing is drawn by lot."""
+"""The large planes of an organised cloud: walls, floor, table tops. Nothing is sampled at random."""
 
 import math
 from dataclasses import dataclass, field
@@ -23,12 +23,12 @@ from stillroom.geometry.cloud.plane_fit import (
 )
 
 NO_PLANE = -1
-MERGE = 1.5  # times the misfit of one region: two of them on a wall that the camera bends
+MERGE = 1.5  # times the misfit of one region: two of them on a wall that the camera distorts
 GROWN_SHARE = 0.4  # of a plane's area, at least, is whole cells of it
 MIN_BEND_SAMPLES = 200
 RIDGE = 1e-3
 MIN_CELLS = 5
-N_PIECES = 3  # of a plane that are looked at, largest first
+N_PIECES = 3  # of a plane that are examined, largest first
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class PlaneLimits:
         cell: Edge of the cells that planes are grown from [samples].
         max_misfit: Largest misfit of a cell to its plane, in inverse depth [1/m]; Kinect noise is about 0.0016 there.
         tolerance: Largest misfit of a sample on a plane [1/m].
-        max_bend: How far the camera may bend a plane [1/m].
+        max_bend: How far the camera may distort a plane [1/m].
         max_off, max_step, max_turn_rad: A flat cell next to a plane continues it when it lies no further off than the
             first and no further than the second from the cell that it is next to [1/m], and is turned no more [rad].
         window: Edge of the window of samples that must mostly lie on the plane for its centre to [samples].
@@ -47,7 +47,7 @@ class PlaneLimits:
         min_area_m2: Smallest area seen of one piece of a plane; a carried board or a back stays with the clusters.
         min_piece_m2: The same for a plane that bounds the room, if all its pieces are as large as the other says.
         max_beyond: A plane bounds the room when no more than this share of the image lies behind it or is not known.
-        min_width_m: Smallest width of that piece [m]; a person who stands upright is flat, but narrow.
+        min_width_m: Smallest width of that piece [m]; an upright person is flat, but narrow.
     """
 
     cell: int = bounded(5, least=1)
@@ -165,7 +165,7 @@ def _samples_on(off: F32, n_known: U16, limits: PlaneLimits) -> Bool:
 def _misfits(points_m: F32, slope: F64, limits: PlaneLimits) -> F32:
     """Return the misfits (h, w) [1/m] of samples to a plane, less what a wide parabola explains of the small ones.
 
-    A depth camera bends walls, towards the corners of the image most; no person is as flat as to gain by it.
+    A depth camera distorts walls, most towards the corners of the image; no person is flat enough to be affected.
     """
     off = plane_misfits(points_m, slope)
     normal, right, n = parabola_sums(points_m, off, limits.tolerance + limits.max_bend)
@@ -185,7 +185,7 @@ def _is_large(points_m: F32, off: F32, on_plane: Bool, slope: F64, ray_area: flo
     """Return whether a plane's samples (h, w) are large enough, in one piece or, of floor and walls, in several.
 
     The backs of two people who walk abreast lie on one plane, but not in one piece, and the room is seen behind them.
-    Behind floor and walls nothing is seen, and people may leave but pieces of them to be seen.
+    Behind floor and walls nothing is seen, and people may leave only pieces of them visible.
 
     Args:
         points_m: Points (h, w, 3) [m].
@@ -198,7 +198,7 @@ def _is_large(points_m: F32, off: F32, on_plane: Bool, slope: F64, ray_area: flo
     area_m2, width_m = _extent(points_m, on_plane, slope, ray_area)
     if area_m2 < limits.min_area_m2 or width_m < limits.min_width_m:
         return False
-    # Of what is not seen at all it cannot be told whether it is behind the plane.
+    # Unknown depth may or may not be behind the plane.
     beyond = float(np.mean((off < -limits.max_off) | np.isinf(off)))
     least_m2 = limits.min_area_m2 if beyond > limits.max_beyond else limits.min_piece_m2
     least_width_m = limits.min_width_m * math.sqrt(least_m2 / limits.min_area_m2)

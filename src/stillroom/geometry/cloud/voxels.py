@@ -15,7 +15,7 @@ class OccupiedVoxels:
     Attributes:
         mean_m: Mean of the points of each (M, 3) float64 [m].
         n_points: How many they are (M,) int32.
-        voxel_of: Voxel of each point (N,) int32: what is found out of voxels goes back to the points by it.
+        voxel_of: Voxel of each point (N,) int32: maps results of voxels back to the points.
     """
 
     mean_m: F64
@@ -38,7 +38,7 @@ def voxel_filter(points_m: Floats, voxel_m: float) -> OccupiedVoxels:
         ValueError: The edge is not positive.
     """
     if not voxel_m > 0:
-        raise ValueError(f"a voxel of {voxel_m} m cannot be")
+        raise ValueError(f"a voxel of {voxel_m} m is not possible")
     points = np.ascontiguousarray(points_m, dtype=np.float64).reshape(-1, 3)
     voxel_of, n_voxels, _, _ = cell_of_points(cells_of(points, voxel_m), table_size(len(points)))
     counts = np.bincount(voxel_of, minlength=n_voxels)
@@ -64,7 +64,7 @@ def slot_of(cells: I64, first_of: I32, table: I32, x: int, y: int, z: int) -> in
         cells: Integer cells of all points (N, 3).
         first_of: A point of each known cell (M,), whose cell is the key.
         table: Cell numbers by slot (a power of two,), −1 where free.
-        x, y, z: The cell that is sought.
+        x, y, z: The cell to find.
     """
     mask = len(table) - 1
     slot = ((x * 73856093) ^ (y * 19349663) ^ (z * 83492791)) & mask

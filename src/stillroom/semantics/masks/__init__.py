@@ -1,1 +1,1 @@
-"""Masks of what may move: a network's, mended by depth, and carried to the present where the network is late."""
+"""Masks of what is potentially dynamic: a network's, refined by depth, and propagated where the network is late."""

@@ -1,4 +1,4 @@
-"""A network that is late: it sees every n-th image, and its answer becomes known some images later."""
+"""Mask propagation for a slow network: it runs on every n-th image, and its result is available some images later."""
 
 from collections import deque
 from collections.abc import Callable
@@ -15,30 +15,30 @@ from stillroom.semantics.masks.refine import RefineConfig, refined
 See = Callable[[RgbdImage, HalfImage], MaskSegments]
 
 
-# Carry a mask from the image in which it is known to a later one: by dense flow, gated by depth.
+# Propagate a mask from the image in which it is known to a later one: by dense flow, gated by depth.
 #
-# NGD-SLAM's mask propagation answers the same question (docs/reference.md#ngd-slam): erode, follow one corner in each
+# NGD-SLAM's mask propagation does the same (docs/reference.md#ngd-slam): erode, follow one corner in each
 # cell of 15 px by flow, take what is within ±0.3 m of their median depth. Differs from it: dense inverse-search flow
-# (Kroeger et al., ECCV 2016) from image to image, with the border mended by depth at each step. It knows no corners, so
-# that plain clothes do; and the mask keeps its shape, also where people stand one behind another.
+# (Kroeger et al., ECCV 2016) from image to image, with the border refined by depth at each step. It needs no corners,
+# so it works on untextured clothes; and the mask keeps its shape, also where people occlude each other.
 
 
 @dataclass(frozen=True)
 class MaskCarryConfig:
-    """How masks are carried to the present.
+    """How masks are propagated.
 
     Attributes:
-        depth_step_m: What changes its depth by more than this from an image to the next has become something else [m].
+        depth_step_m: A pixel whose depth changes by more than this between images belongs to another object [m].
     """
 
     depth_step_m: float = bounded(0.30, above=0)
 
 
 def carried(segments: MaskSegments, earlier: HalfImage, now: HalfImage, config: MaskCarryConfig) -> MaskSegments:
-    """Return where what may move is now.
+    """Return the segments propagated to the next image.
 
     Args:
-        segments: Where it was in an earlier image.
+        segments: Those of an earlier image.
         earlier: That image.
         now: The next image, of the same size.
         config: How far depth may change between them.
@@ -63,10 +63,10 @@ def carried(segments: MaskSegments, earlier: HalfImage, now: HalfImage, config: 
 
 @dataclass(frozen=True)
 class KnownImage:
-    """What is known of an image.
+    """The segments of an image, from the network or propagated.
 
     Attributes:
-        segments: What may move in it.
+        segments: What is potentially dynamic in it.
         age: How many images ago the network saw it; 0 where it saw this one.
     """
 
@@ -84,18 +84,18 @@ NOTHING_YET = KnownImage(MaskSegments(np.zeros((0, 0), np.uint8), np.zeros((0, 0
 
 
 class LateMasks:
-    """Asks a network now and then, waits for its answers, and carries what is known to the present."""
+    """Runs a network at a stride, delays its results, and propagates them to the present."""
 
     def __init__(self, see: See, every: int, latency_frames: int, carry: MaskCarryConfig, refine: RefineConfig) -> None:
-        """Start without a past.
+        """Start without images.
 
         Args:
-            see: The network: what may move in an image.
-            every: It sees every n-th image.
-            latency_frames: How many images later its answer is known. The first is waited for: what a map starts with
-                must not be people.
-            carry: How masks are carried.
-            refine: How their borders are mended, there and on each step to the present.
+            see: The network: what is potentially dynamic in an image.
+            every: Stride in images at which it runs.
+            latency_frames: How many images later its result is available. The first is waited for: a map must not start
+                with people.
+            carry: How masks are propagated.
+            refine: How their borders are refined, there and at each step to the present.
         """
         self._see = see
         self._every = every
@@ -108,7 +108,7 @@ class LateMasks:
         self._count = -1
 
     def __call__(self, image: RgbdImage) -> KnownImage:
-        """Return what is known of an image; images come in order, and a step back starts afresh."""
+        """Return the segments of an image; images come in order, and a step back resets."""
         view = HalfImage.of(image)
         if self._recent and (view.index <= self._recent[-1].index or view.shape != self._recent[-1].shape):
             self._forget()
@@ -139,6 +139,6 @@ class LateMasks:
         return segments
 
     def _one_step(self, segments: MaskSegments, place: int) -> MaskSegments:
-        """Carry segments to one of the recent images from the one before it."""
+        """Propagate segments to one of the recent images from the one before it."""
         earlier, now = self._recent[place - 1], self._recent[place]
         return refined(carried(segments, earlier, now, self._carry), now.depth_m, self._refine)

@@ -1,4 +1,4 @@
-"""The nouns of this package: an image at half its size, and which of its pixels may move."""
+"""The data types of this package: an image at half its size, and which of its pixels are potentially dynamic."""
 
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -10,7 +10,7 @@ from stillroom.data.image import RgbdImage
 from stillroom.geometry.arrays import F32, U8, Bool
 
 SMALLEST_SIDE_PX = 32
-"""Of an image whose flow can be measured; in smaller ones nothing is taken to move."""
+"""Smallest side of an image whose flow can be computed; in smaller ones it is zero."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,7 +20,7 @@ class HalfImage:
     Attributes:
         index: Place of the image in its sequence.
         gray: Brightness (h, w) uint8, mean of four pixels.
-        depth_m: Depth (h, w) float32 [m] of one of the four, so that no depth is made up; 0 where unknown.
+        depth_m: Depth (h, w) float32 [m] of one of the four, so that no depth is interpolated; 0 where unknown.
     """
 
     index: int
@@ -44,7 +44,7 @@ class HalfImage:
     def flow_to(self, earlier: "HalfImage") -> F32:
         """Return where each pixel was in an earlier image of the same size, relative to here (h, w, 2) [px].
 
-        Measured once: a mask that becomes known later passes over the same pair of images again.
+        Cached: masks of several results pass over the same pair of images.
         """
         if earlier.index not in self._flows:
             self._flows[earlier.index] = _flow(self.gray, earlier.gray)
@@ -53,13 +53,12 @@ class HalfImage:
 
 @dataclass(frozen=True, eq=False)
 class MaskSegments:
-    """Which pixels of an image, at half its size, may move.
+    """Which pixels of an image, at half its size, are potentially dynamic.
 
     Attributes:
-        label: 0 where nothing may move, i where the i-th of the movable classes is, counted from 1 (h, w) uint8.
-        probability: How likely it is of the class that it is given to, or of a movable one at all (h, w) float32.
-        named: Where nothing may move: i where the i-th of the classes is that are named besides, from 1 (h, w) uint8;
-            None where none are.
+        label: 0 for background, i for the i-th of the movable classes, counted from 1 (h, w) uint8.
+        probability: Probability of its class, or of any movable class (h, w) float32.
+        named: In the background: i for the i-th of the named classes, from 1 (h, w) uint8; None without named classes.
     """
 
     label: U8
@@ -68,12 +67,12 @@ class MaskSegments:
 
     @cached_property
     def mask(self) -> Bool:
-        """Pixels that may move (h, w)."""
+        """Potentially dynamic pixels (h, w)."""
         return np.asarray(self.label > 0)
 
     @cached_property
     def has_any(self) -> bool:
-        """Whether anything may move."""
+        """Whether anything is potentially dynamic."""
         return bool(self.label.any())
 
 

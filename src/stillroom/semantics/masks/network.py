@@ -1,4 +1,4 @@
-"""Any segmentation network in an ONNX file: what its input wants, and what its output means."""
+"""Any segmentation network in an ONNX file: its input format and the meaning of its output."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,12 +20,12 @@ class SegmentationInput:
     """How an image becomes a network's input, and its output probabilities.
 
     Attributes:
-        longer_side_px: Longer side of the input where the network leaves its size open [px].
+        longer_side_px: Longer side of the input where the network does not fix its size [px].
         step_px, offset_px: Sides of the input are a multiple of `step_px`, plus `offset_px`.
         mean, std: Subtracted from the colours, and divided by; colours are RGB in 0–255.
         bgr: Whether the network wants the channels in the order blue, green, red.
-        scores: What a network with a channel for each class tells: "logits" or "probabilities".
-        width, height: Largest size in which the answer is wanted [px]; networks that say more are thinned out.
+        scores: Output of a network with a channel for each class: "logits" or "probabilities".
+        width, height: Largest size of the result [px]; larger outputs are subsampled.
     """
 
     longer_side_px: int
@@ -51,9 +51,9 @@ class SegmentationNetwork:
 
         Args:
             path: The ONNX file.
-            channels: Channels of the classes that are asked for (M).
-            n_classes: How many classes it tells.
-            reading: What its input and output mean.
+            channels: Channels of the wanted classes (M).
+            n_classes: Number of its classes.
+            reading: Format of its input and output.
 
         Raises:
             WeightsError: The file is absent or no ONNX file, or the network does not take one image.
@@ -67,18 +67,18 @@ class SegmentationNetwork:
         self._input = image_input(self._session, path)
 
     def probabilities(self, rgb: U8, width: int, height: int) -> F32:
-        """Return how likely each pixel is of each class that is asked for.
+        """Return how likely each pixel is of each wanted class.
 
         Args:
             rgb: Colours (H, W, 3) uint8.
-            width: Columns of the answer.
-            height: Rows of the answer.
+            width: Columns of the result.
+            height: Rows of the result.
 
         Returns:
             (M, height, width) float32 in [0, 1].
 
         Raises:
-            WeightsError: The network cannot be run on the image, or its output is not what its classes promise.
+            WeightsError: The network cannot be run on the image, or its output does not match its classes.
         """
         try:
             output = self._session.run(None, {self._input.name: self._blob(rgb)})[0]
@@ -117,7 +117,7 @@ class SegmentationNetwork:
         )
 
     def _likely(self, scores: Any) -> F32:
-        """Return the probabilities of the classes that are asked for (M, h, w)."""
+        """Return the probabilities of the wanted classes (M, h, w)."""
         asked = scores[self._channels].astype(np.float32)
         if scores.dtype == np.bool_ or self._reading.scores == PROBABILITIES:
             return np.asarray(np.clip(np.nan_to_num(asked, nan=0.0), 0.0, 1.0), dtype=np.float32)
@@ -141,7 +141,7 @@ def color_planes(
     """
     shrinks = size[0] * size[1] < 0.5 * rgb.shape[0] * rgb.shape[1]
     fit = np.asarray(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR))
-    # Plane by plane: a sixth of the time that it takes with the colours beside each other.
+    # Plane by plane: a sixth of the time that it takes with interleaved colours.
     planes = np.empty((COLORS, size[1], size[0]), dtype=np.float32)
     for plane, color, middle, width in zip(planes, cv2.split(fit)[:: -1 if bgr else 1], mean, std, strict=True):
         np.subtract(color, np.float32(middle), out=plane)

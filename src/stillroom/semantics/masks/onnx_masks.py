@@ -1,4 +1,4 @@
-"""Any ONNX segmentation network says what may move: the semantic thread of PSPNet-SLAM (III.A) and DynaSLAM."""
+"""A segmenter from any ONNX segmentation network: the semantic thread of PSPNet-SLAM (III.A) and DynaSLAM."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -23,28 +23,28 @@ DEEPLAB = Path("deeplabv3_mobilenetv2_voc.onnx")
 
 @dataclass(frozen=True)
 class OnnxMasksConfig:
-    """Which network says what may move, and what it is asked.
+    """The network, its classes, and how its masks are refined and propagated.
 
-    The network takes one image, (1, 3, height, width) or (1, height, width, 3), and tells a score of each class for
+    The network takes one image, (1, 3, height, width) or (1, height, width, 3), and returns a score of each class for
     each pixel, (1, classes, h, w) or (1, h, w, classes), or the number of the best class, (1, h, w).
 
     Attributes:
-        model: The ONNX file; a bare name is sought in the models' usual places. Empty is DeepLabv3-MobileNetV2.
+        model: The ONNX file; a bare name is looked up in the model folders. Empty is DeepLabv3-MobileNetV2.
         classes: Names of the network's classes in the order of its channels.
-        movable: Names of the classes that may move.
-        named: Names of the classes that stand still unless somebody moves them; they are told of as boxes, of what the
-            depth cloud may be taken apart by.
-        probability: From here on a pixel is of a movable class; the movable classes' probabilities count together.
-        every: The network sees every n-th image; to those between, masks are carried.
-        latency_frames: How many images after the one that it saw the network's answer becomes known.
-        longer_side_px: Longer side of the network's input where the file leaves its size open [px].
+        movable: Names of the potentially dynamic classes.
+        named: Names of the classes that are static unless people move them; they become boxes, which help to cluster
+            the depth cloud.
+        probability: Threshold of the summed probabilities of the movable classes.
+        every: Stride in images at which the network runs; masks are propagated to those between.
+        latency_frames: Delay of the network's result, in images.
+        longer_side_px: Longer side of the network's input where the file does not fix its size [px].
         step_px, offset_px: Sides of the input are a multiple of `step_px`, plus `offset_px` [px].
         mean, std: Subtracted from the colours, which are RGB in 0–255, and divided by.
-        bgr: Whether the network wants blue first.
-        scores: What the network tells: "logits" or "probabilities". Whole numbers are the best class in any case.
-        refine: How borders are mended by depth.
-        carry: How masks are carried.
-        regions: What is told of the regions.
+        bgr: Whether the channels are in the order blue, green, red.
+        scores: Output of the network: "logits" or "probabilities". Integers are always the best class.
+        refine: How borders are refined by depth.
+        carry: How masks are propagated.
+        regions: Dilation of masks, and boxes of regions.
     """
 
     model: Path | None = None
@@ -84,19 +84,19 @@ class OnnxMasksConfig:
 
 
 class OnnxMasks:
-    """A network's masks, mended by depth, and carried where it is late."""
+    """A network's masks, refined by depth, and propagated where it is late."""
 
     def __init__(self, network: SegmentationNetwork, config: OnnxMasksConfig) -> None:
-        """Start without a past."""
+        """Start without images."""
         self._network = network
         self._config = config
         self._masks = LateMasks(self.see, config.every, config.latency_frames, config.carry, config.refine)
 
     def __call__(self, image: RgbdImage) -> Semantics:
-        """Return what may move in the image.
+        """Return what is potentially dynamic in the image.
 
         Raises:
-            WeightsError: The network's output is not what its classes promise.
+            WeightsError: The network's output does not match its classes.
         """
         known, config = self._masks(image), self._config
         segments = without_specks(known.segments, config.regions.min_px)
@@ -104,7 +104,7 @@ class OnnxMasks:
         return as_semantics(segments, config.movable, *size, known.age, config.regions, config.named)
 
     def see(self, image: RgbdImage, view: HalfImage) -> MaskSegments:
-        """Return what the network alone says of one image, at half size."""
+        """Return the network's segments of one image, at half size."""
         rows, columns = view.shape
         every, least = self._network.probabilities(image.rgb, columns, rows), self._config.probability
         n_movable = len(self._config.movable)

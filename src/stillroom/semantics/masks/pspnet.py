@@ -1,4 +1,4 @@
-"""PSPNet says what may move (PSPNet-SLAM III.A): the weights that come with Stillroom, or others of its training."""
+"""The PSPNet segmenter (PSPNet-SLAM III.A): the weights that come with Stillroom, or others of its training."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -25,25 +25,25 @@ SHIPPED = "pspnet_mobilenetv2_voc.onnx"
 INPUTS_PX = {"320x240": 320, "512x384": 512, "640x480": 640}
 HALF = (127.5, 127.5, 127.5)
 OUTPUT_STRIDE = 4
-"""Pixels of the input per pixel of the scores that `stillroom export pspnet` lets a network tell."""
+"""Pixels of the input per pixel of the scores of a network of `stillroom export pspnet`."""
 
 
 @dataclass(frozen=True)
 class PspNetConfig:
-    """Which PSPNet says what may move, and what it is asked.
+    """The PSPNet, its classes, and how its masks are refined and propagated.
 
     Attributes:
-        model: A file of `stillroom export pspnet`; a bare name is sought in the models' usual places. Empty is the one
+        model: A file of `stillroom export pspnet`; a bare name is looked up in the model folders. Empty is the one
             that comes with Stillroom.
-        input: Size at which it sees images: "640x480", "512x384" for two thirds of the time, "320x240" for a third.
-        movable: Names of the classes that may move, of the 21 of PASCAL VOC.
-        named: Names of the classes that stand still unless somebody moves them; told of as boxes.
-        probability: From here on a pixel is of a movable class; the movable classes' probabilities count together.
-        every: The network sees every n-th image; to those between, masks are carried.
-        latency_frames: How many images after the one that it saw the network's answer becomes known.
-        refine: How borders are mended by depth.
-        carry: How masks are carried.
-        regions: What is told of the regions.
+        input: Size of its input: "640x480", "512x384" for two thirds of the time, "320x240" for a third.
+        movable: Names of the potentially dynamic classes, of the 21 of PASCAL VOC.
+        named: Names of the classes that are static unless people move them; they become boxes.
+        probability: Threshold of the summed probabilities of the movable classes.
+        every: Stride in images at which the network runs; masks are propagated to those between.
+        latency_frames: Delay of the network's result, in images.
+        refine: How borders are refined by depth.
+        carry: How masks are propagated.
+        regions: Dilation of masks, and boxes of regions.
     """
 
     model: Path | None = None
@@ -78,7 +78,7 @@ def pspnet(model: Path | None, channels: list[int], longer_side_px: int) -> Segm
 
     Args:
         model: The file; None is the one that comes with Stillroom.
-        channels: Channels of the classes that are asked for.
+        channels: Channels of the wanted classes.
         longer_side_px: Longer side of its input [px]; the file says to what it is rounded.
 
     Raises:
@@ -91,7 +91,7 @@ def pspnet(model: Path | None, channels: list[int], longer_side_px: int) -> Segm
 
 
 class PspNetwork(SegmentationNetwork):
-    """A network that tells scores at a fourth of its input's size, and in its file how its pixels lie."""
+    """A network with scores at a fourth of its input's size, whose file gives the alignment of their pixels."""
 
     def __init__(self, path: Path, channels: list[int], longer_side_px: int) -> None:
         """Load it.
@@ -99,7 +99,7 @@ class PspNetwork(SegmentationNetwork):
         Raises:
             WeightsError: The file is absent, or none of `stillroom export pspnet`.
         """
-        # What the file says is known only when it is loaded; until then any size will do.
+        # The file's metadata is known only after loading; until then any size will do.
         super().__init__(
             path, channels, len(VOC_CLASSES), SegmentationInput(longer_side_px, 1, 0, HALF, HALF, False, LOGITS)
         )
@@ -115,12 +115,12 @@ class PspNetwork(SegmentationNetwork):
         self._reading = SegmentationInput(longer_side_px, step, offset, mean, std, False, LOGITS)
 
     def probabilities(self, rgb: U8, width: int, height: int) -> F32:
-        """Return how likely each pixel is of each class that is asked for (M, height, width) float32 in [0, 1].
+        """Return how likely each pixel is of each wanted class (M, height, width) float32 in [0, 1].
 
         Args:
             rgb: Colours (H, W, 3) uint8.
-            width: Columns of the answer.
-            height: Rows of the answer.
+            width: Columns of the result.
+            height: Rows of the result.
 
         Raises:
             WeightsError: The network cannot be run on the image.
@@ -136,7 +136,7 @@ class PspNetwork(SegmentationNetwork):
         return np.stack([_warped(channel, affine, width, height) for channel in likely])
 
     def _line(self, input_px: int, answer_px: int) -> tuple[float, float]:
-        """Return factor and offset from a pixel of the answer to the pixel of the scores along one axis."""
+        """Return factor and offset from a pixel of the result to the pixel of the scores along one axis."""
         factor = input_px / answer_px
         offset = 0.5 * factor - 0.5
         if self._corners:

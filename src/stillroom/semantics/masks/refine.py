@@ -1,4 +1,4 @@
-"""Mend the border of a mask by depth: a network sees people, a depth camera sees where they end."""
+"""Refine the border of a mask by depth: a depth camera sees outlines more exactly than a network."""
 
 from dataclasses import dataclass, replace
 
@@ -11,19 +11,19 @@ from stillroom.geometry.pixels import Shape, element, grown
 from stillroom.semantics.masks.mask_segments import MaskSegments
 
 FEWEST = 12
-"""Pixels of known depth near a pixel, of which something can be said about the depth there."""
+"""Fewest pixels of known depth in a window for a mean depth."""
 FAR_M = 0.6
-"""What is this far from the mean depth around it does not count in the mean that is used."""
+"""Depths this far from the first mean are left out of the second."""
 
 
 @dataclass(frozen=True)
 class RefineConfig:
-    """How the border of a mask is mended.
+    """How the border of a mask is refined.
 
     Attributes:
-        enabled: Whether at all.
-        band_px: How far from the mask's border pixels change sides [px].
-        window_px: Side of the square around a pixel in which the depths of body and background are looked up [px].
+        enabled: Whether it is.
+        band_px: Width of the band around the border in which pixels may change [px].
+        window_px: Side of the square around a pixel in which the depths of body and background are averaged [px].
         jump_m: A pixel that is this much nearer or farther than the body around it does not belong to it [m].
         near_m: A pixel beside the mask belongs to the body when it is this near to its depth [m].
     """
@@ -40,15 +40,15 @@ class RefineConfig:
 
 
 def refined(segments: MaskSegments, depth_m: F32, config: RefineConfig) -> MaskSegments:
-    """Move the border of a mask to where the depth jumps.
+    """Move the border of a mask to the depth discontinuity.
 
     Each pixel near the border is compared with the mean depth of the body around it (what lies well inside of the
-    mask) and of the background around it (what lies well outside). Where the two differ, the pixel goes to the one
-    that it is like: those of the mask that jump away from the body go, those beside it at the body's depth come in.
-    Where they do not, as where feet stand on the floor, and where depth is unknown, the network has the last word.
+    mask) and of the background around it (what lies well outside). Where the two differ, the pixel gets the nearer one:
+    those of the mask off the body's depth are removed, those next to it at the body's depth are added. Where they do
+    not, as where feet stand on the floor, and where depth is unknown, the network decides.
 
     Args:
-        segments: What may move, at half size.
+        segments: What is potentially dynamic, at half size.
         depth_m: Depth (h, w) [m] on the same pixels.
         config: Sizes in pixels of the whole image.
     """
@@ -66,7 +66,8 @@ def refined(segments: MaskSegments, depth_m: F32, config: RefineConfig) -> MaskS
     ground_m, has_ground = _mean_depth(depth_m, outer & known, window_px)
     to_body, to_ground = np.abs(depth_m - body_m), np.abs(depth_m - ground_m)
     in_band = known & has_body & ~inner & ~outer
-    # An arm may be off the body's mean as far as a table beside it is: only what is clearly like the background goes.
+    # An arm may be off the body's mean as far as a table beside it is: only what is clearly at the background's depth
+    # is removed.
     goes = in_band & mask & (to_body > config.jump_m) & has_ground & (2.0 * to_ground < to_body)
     comes = in_band & ~mask & (to_body < config.near_m) & (~has_ground | (to_ground > config.jump_m))
     return _changed(segments, around, goes, comes, band_px)
@@ -90,7 +91,7 @@ def _mean_depth(depth_m: F32, where: Bool, window_px: int) -> tuple[F32, Bool]:
     """Return the mean depth [m] of some pixels around each, twice: the second time without what is far from the first.
 
     Returns:
-        The depths (h, w), and where there are enough pixels to tell.
+        The depths (h, w), and where there are enough pixels.
     """
     rough_m, _ = _window_mean(depth_m, where, window_px)
     return _window_mean(depth_m, where & (np.abs(depth_m - rough_m) < FAR_M), window_px)
@@ -106,7 +107,7 @@ def _window_mean(depth_m: F32, where: Bool, window_px: int) -> tuple[F32, Bool]:
 
 
 def _surroundings(label: U8, margin_px: int) -> tuple[slice, slice]:
-    """Return the rows and columns in which anything is, and some around them."""
+    """Return the rows and columns of all labels, with a margin."""
     x, y, width, height = cv2.boundingRect(label)
     rows = slice(max(y - margin_px, 0), min(y + height + margin_px, label.shape[0]))
     return rows, slice(max(x - margin_px, 0), min(x + width + margin_px, label.shape[1]))

@@ -1,4 +1,4 @@
-"""From segments to what tracking reads: a grown mask of the whole image, and a box around each region."""
+"""From segments to semantics: a dilated mask of the whole image, and a box around each region."""
 
 from dataclasses import dataclass, replace
 
@@ -13,15 +13,15 @@ from stillroom.semantics.masks.mask_segments import MaskSegments
 
 @dataclass(frozen=True)
 class RegionsConfig:
-    """What is told of the regions.
+    """Dilation of masks, and boxes of regions.
 
     Attributes:
         min_px: Smallest region that counts [px of the whole image].
-        dilate_px: By how much the mask is grown [px]; corners on a border belong to nobody (DynaSLAM: 15;
+        dilate_px: Dilation of the mask [px]; corners on a border are no surface points (DynaSLAM: 15;
             docs/reference.md#dynaslam).
-        crowd_share, crowd_px: Where the grown mask would cover more than this share of the image, it is grown by no
-            more than this: in a crowd, what is seen of the room is seen between people.
-        boxes: Whether each region becomes a box, too; boxes are not grown.
+        crowd_share, crowd_px: Where the dilated mask would cover more than this share of the image, it is dilated by no
+            more than this: in a crowd, the room is seen between people.
+        boxes: Whether each region becomes a box, too; boxes are not dilated.
     """
 
     min_px: int = bounded(400, least=0)
@@ -32,7 +32,7 @@ class RegionsConfig:
 
 
 def without_specks(segments: MaskSegments, min_px: int) -> MaskSegments:
-    """Return segments without regions smaller than so many pixels of the whole image."""
+    """Return segments without regions smaller than `min_px` pixels of the whole image."""
     if not segments.has_any or min_px == 0:
         return segments
     _, region, statistics, _ = cv2.connectedComponentsWithStats(segments.mask.view(np.uint8), connectivity=8)
@@ -53,13 +53,13 @@ def as_semantics(
     """Return segments as semantics of an image.
 
     Args:
-        segments: What may move, at half size.
+        segments: What is potentially dynamic, at half size.
         names: The movable classes.
         height: Rows of the image.
         width: Its columns.
-        age: How many frames ago the network saw what the segments come from.
-        config: What is told.
-        still: The classes that are named besides, and do not move by themselves.
+        age: Age of the network's result, in frames.
+        config: Dilation and boxes.
+        still: The named classes, which do not move by themselves.
     """
     named: tuple[Box, ...] = ()
     if segments.named is not None:

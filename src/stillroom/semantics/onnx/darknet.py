@@ -1,4 +1,4 @@
-"""Networks with darknet's yolo heads in ONNX files of `stillroom export yolo`: what such a file says, and its boxes."""
+"""Networks with darknet's yolo heads in ONNX files of `stillroom export yolo`: their metadata and their boxes."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from stillroom.errors import WeightsError
 from stillroom.geometry.arrays import F64
 from stillroom.semantics.onnx.layouts import DetectionRequest, Shape, Told, may_be
 
-LARGEST_EXPONENT = 20.0  # of a box whose numbers make no sense
+LARGEST_EXPONENT = 20.0  # of a box with invalid numbers
 BOX_ROWS = 5
 """Numbers that come before those of the classes: x, y, w, h, objectness."""
 
@@ -31,7 +31,7 @@ class Head:
 
 @dataclass(frozen=True)
 class Heads:
-    """What an ONNX file says of its network's heads, in its metadata.
+    """The metadata of an ONNX file on its network's heads.
 
     Attributes:
         classes: Names of the classes, in order.
@@ -42,7 +42,7 @@ class Heads:
     heads: tuple[Head, ...]
 
     def as_metadata(self) -> dict[str, str]:
-        """Return the metadata of an ONNX file, of which `from_metadata` makes the same again."""
+        """Return the metadata of an ONNX file, from which `from_metadata` restores it."""
         anchors = [" ".join(str(float(side)) for pair in head.anchors_px for side in pair) for head in self.heads]
         return {
             "classes": "\n".join(self.classes),
@@ -52,11 +52,11 @@ class Heads:
 
     @staticmethod
     def from_metadata(metadata: Mapping[str, str]) -> "Heads":
-        """Return what an ONNX file says.
+        """Return the heads from the metadata of an ONNX file.
 
         Raises:
-            KeyError: It says nothing of heads.
-            ValueError: What it says does not fit together.
+            KeyError: It has no heads.
+            ValueError: It is inconsistent.
         """
         classes = tuple(metadata["classes"].split("\n"))
         lines = [[float(side) for side in line.split()] for line in metadata["anchors_px"].split("\n")]
@@ -71,7 +71,7 @@ class DarknetFile:
 
     Attributes:
         path: The file.
-        heads: What it says of its heads.
+        heads: Its heads.
     """
 
     def __init__(self, path: Path) -> None:
@@ -101,9 +101,9 @@ class DarknetFile:
             raise WeightsError(f"{path}: damaged: its outputs {self._output_shapes} are not those of its heads")
 
     def cut_to(self, classes: Sequence[int]) -> bytes:
-        """Return the ONNX model whose heads tell some classes only, in their order.
+        """Return the ONNX model reduced to some classes, in their order.
 
-        Those of one class instead of 80 spare a twentieth of the work.
+        One class instead of 80 saves a twentieth of the work.
 
         Args:
             classes: The numbers of the classes.
@@ -128,10 +128,10 @@ class DarknetFile:
         return bytes(model.SerializeToString())
 
     def layout(self, asked: DetectionRequest) -> "DarknetHeads":
-        """Return what reads the network's outputs.
+        """Return the decoder of the network's outputs.
 
         Args:
-            asked: What the network is asked; `n_classes` of them after it was cut.
+            asked: The wanted classes; `n_classes` of them after it was cut.
         """
         return DarknetHeads(self.heads, self._input_shape, self._output_shapes, asked)
 
@@ -151,10 +151,10 @@ class DarknetHeads:
         """Take the heads of a network, which may have been cut to fewer classes than its file names.
 
         Args:
-            heads: What the file says.
+            heads: The heads of the file.
             input_shape: 1, channels, height, width of the input.
             output_shapes: 1, channels, height, width of each head's output; the channels do not count.
-            asked: What the network is asked; boxes are in shares of its input by themselves.
+            asked: The wanted classes; boxes are in shares of its input by themselves.
         """
         self._asked = asked
         self._width = BOX_ROWS + asked.n_classes
@@ -175,7 +175,7 @@ class DarknetHeads:
         return len(shapes) == len(self._shapes) and all(may_be(shape, *wanted) for shape, wanted in pairs)
 
     def read(self, outputs: Sequence[Any]) -> Told:
-        """Return the boxes; one that is likely of two classes is told twice."""
+        """Return the boxes; one that is likely of two classes is returned twice."""
         width, least = self._width, self._asked.confidence
         rows = [
             raw.reshape(-1, width, raw.shape[2] * raw.shape[3]).transpose(0, 2, 1).reshape(-1, width) for raw in outputs
@@ -194,7 +194,7 @@ class DarknetHeads:
 
 
 def _cells_of(head: Head, rows: int, columns: int, side_px: tuple[int, int]) -> F64:
-    """Return of each box that a head may tell its cell's corner and span and its anchor's size, (N, 3, 2) in [0, 1].
+    """Return for each possible box of a head its cell's corner and span and its anchor's size, (N, 3, 2) in [0, 1].
 
     Anchors, rows, columns: the order in which `DarknetHeads.read` reads them.
     """

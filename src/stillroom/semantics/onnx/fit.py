@@ -1,4 +1,4 @@
-"""How an image is fitted into a detector's input, and how boxes find back to the image."""
+"""How an image is fitted into a detector's input, and how boxes are mapped back to the image."""
 
 from dataclasses import dataclass
 
@@ -19,7 +19,7 @@ class Colors:
 
     Attributes:
         mean, std: By colour.
-        bgr: Whether the network wants blue first.
+        bgr: Whether the channels are in the order blue, green, red.
     """
 
     mean: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -28,7 +28,7 @@ class Colors:
 
     @property
     def are_raw(self) -> bool:
-        """Whether colours go in as they are."""
+        """Whether colours are used unchanged."""
         return not any(self.mean) and set(self.std) == {1.0}
 
 

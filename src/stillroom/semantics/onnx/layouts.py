@@ -1,4 +1,4 @@
-"""In what layouts detection networks tell their boxes.
+"""Output layouts of detection networks.
 
 ============ ==================================================== =====================================================
 name         outputs                                              networks
@@ -29,19 +29,19 @@ LAYOUTS = (YOLO_V8, YOLO_V5, NMS, DETECTIONS, DARKNET)
 EDGES = 4
 
 Shape = Sequence[Any]
-"""Of an output: numbers, or anything else where the file leaves an axis open; empty where it says nothing at all."""
+"""Shape of an output: numbers, or anything else for an axis of open length; empty where the file has none."""
 
 
 @dataclass(frozen=True)
 class DetectionRequest:
-    """What a network is asked.
+    """The wanted classes and the format of a network's boxes.
 
     Attributes:
         name: What to call the network in messages, such as its path.
-        n_classes: How many classes it tells.
-        classes: The numbers of the classes that are asked for (M).
-        confidence: From here on a box counts.
-        side_px: Width and height of its input where it tells boxes in pixels of that; (1, 1) where in shares of it.
+        n_classes: Number of its classes.
+        classes: The numbers of the wanted classes (M).
+        confidence: Confidence threshold of a box.
+        side_px: Width and height of its input where boxes are in pixels of it; (1, 1) where in shares of it.
     """
 
     name: object
@@ -53,12 +53,12 @@ class DetectionRequest:
 
 @dataclass(frozen=True)
 class Told:
-    """Boxes that a network tells, of the classes that are asked for.
+    """The decoded boxes of the wanted classes.
 
     Attributes:
         unit: Edges x_min y_min x_max y_max (N, 4), the input's sides being of length 1.
         scores: (N,) in [0, 1].
-        labels: Which of the classes that are asked for (N,).
+        labels: Which of the wanted classes (N,).
     """
 
     unit: F64
@@ -67,7 +67,7 @@ class Told:
 
 
 class Layout(Protocol):
-    """Reads a network's outputs."""
+    """Decodes a network's outputs."""
 
     @property
     def expected(self) -> str:
@@ -77,10 +77,10 @@ class Layout(Protocol):
         """Return whether outputs may be of this layout."""
 
     def read(self, outputs: Sequence[Any]) -> Told:
-        """Return the boxes that outputs of fitting shapes tell.
+        """Return the boxes from outputs of fitting shapes.
 
         Raises:
-            WeightsError: They tell what cannot be.
+            WeightsError: The outputs are invalid.
         """
 
 
@@ -121,7 +121,7 @@ class YoloV8:
         return len(shapes) >= 1 and may_be(shapes[0], 1, EDGES + self.asked.n_classes, None)
 
     def read(self, outputs: Sequence[Any]) -> Told:
-        """Return the boxes; one that is likely of two classes is told twice."""
+        """Return the boxes; one that is likely of two classes is returned twice."""
         columns = np.asarray(outputs[0][0])
         scores = columns[[EDGES + number for number in self.asked.classes]].T.astype(np.float64)
         which, label = np.nonzero(scores >= self.asked.confidence)
@@ -144,7 +144,7 @@ class YoloV5:
         return len(shapes) >= 1 and may_be(shapes[0], 1, None, EDGES + 1 + self.asked.n_classes)
 
     def read(self, outputs: Sequence[Any]) -> Told:
-        """Return the boxes; one that is likely of two classes is told twice."""
+        """Return the boxes; one that is likely of two classes is returned twice."""
         rows = np.asarray(outputs[0][0])
         # Objectness bounds confidence from above, and few boxes pass.
         rows = rows[rows[:, EDGES] >= self.asked.confidence].astype(np.float64)
@@ -215,27 +215,27 @@ class Detections:
         edges = edges.reshape(-1, EDGES).astype(np.float64)
         if not len(edges) == labels.size == scores.size:
             raise WeightsError(
-                f"{self.asked.name}: tells {len(edges)} boxes, {labels.size} labels and {scores.size} scores; "
+                f"{self.asked.name}: returns {len(edges)} boxes, {labels.size} labels and {scores.size} scores; "
                 "layout 'detections' has one of each"
             )
         return _chosen(edges, scores.ravel().astype(np.float64), labels.ravel(), self.asked)
 
 
 def _around(middle_and_size: Any, asked: DetectionRequest) -> F64:
-    """Return the edges (N, 4) of boxes told by middle and size (N, 4)."""
+    """Return the edges (N, 4) of boxes given by centre and size (N, 4)."""
     values = np.asarray(middle_and_size, dtype=np.float64) / np.tile(np.array(asked.side_px, dtype=np.float64), 2)
     middle, half = values[:, :2], 0.5 * values[:, 2:]
     return np.concatenate([middle - half, middle + half], axis=1)
 
 
 def _chosen(edges: F64, scores: F64, labels: Ints | F64, asked: DetectionRequest) -> Told:
-    """Return the boxes of the classes that are asked for, from edges (N, 4), scores (N,) and class numbers (N,)."""
+    """Return the boxes of the wanted classes, from edges (N, 4), scores (N,) and class numbers (N,)."""
     likely = np.flatnonzero(scores >= asked.confidence)
     number = np.rint(labels[likely]).astype(np.int64)
     unnamed = number[(number < 0) | (number >= asked.n_classes)]
     if len(unnamed):
         raise WeightsError(
-            f"{asked.name}: tells of class {unnamed[0]}, where {asked.n_classes} classes are named, counted from 0; "
+            f"{asked.name}: returns class {unnamed[0]}, where {asked.n_classes} classes are named, counted from 0; "
             "set classes to its names, with one for the background where it counts that"
         )
     place = np.full(asked.n_classes, -1, dtype=np.int64)

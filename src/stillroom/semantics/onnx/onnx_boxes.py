@@ -1,4 +1,4 @@
-"""Any ONNX detection network says what may move, in boxes."""
+"""A segmenter from any ONNX detection network: boxes."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,32 +20,32 @@ PIXELS, SHARES = "pixels", "shares"
 
 @dataclass(frozen=True)
 class OnnxBoxesConfig:
-    """Which network says what may move, and how it tells it.
+    """The network, its output layout, and how boxes are propagated.
 
     The network takes one image, (1, 3, height, width) or (1, height, width, 3). The defaults are those of YOLO v8 to
     v11 as Ultralytics exports them.
 
     Attributes:
-        model: The ONNX file; a bare name is sought in the models' usual places.
-        layout: How it tells boxes: "yolo-v8", (1, 4 + classes, boxes); "yolo-v5", (1, boxes, 5 + classes); "nms",
+        model: The ONNX file; a bare name is looked up in the model folders.
+        layout: Layout of its boxes: "yolo-v8", (1, 4 + classes, boxes); "yolo-v5", (1, boxes, 5 + classes); "nms",
             (1, boxes, 6) or (boxes, 6), of edges, score and class; "detections", boxes, labels and scores as three
             outputs; "darknet", a raw output for each head, in a file of `stillroom export yolo`.
             `semantics/onnx/layouts.py` says more.
         classes: Names of the network's classes in order, with one for the background where it counts that; empty is
             those of `classes_file`, or of a file of `stillroom export yolo`, else the 80 of COCO.
         classes_file: A text file with these names, one a line.
-        movable: Names of the classes that may move.
-        named: Names of the classes that stand still unless somebody moves them.
-        confidence: From here on a box counts.
+        movable: Names of the potentially dynamic classes.
+        named: Names of the classes that are static unless people move them.
+        confidence: Confidence threshold of a box.
         nms_iou: Highest overlap that two boxes of one class may have; of more, the best is kept.
-        input_px: Width and height of the network's input where the file leaves them open [px].
+        input_px: Width and height of the network's input where the file does not fix them [px].
         fit: How an image gets there: "letterbox" keeps its proportions, with gray around it; "stretch".
         mean, std: Subtracted from the colours, which are RGB in 0–255, and divided by. Networks by darknet, and those
-            that take whole numbers, want 0 and 1.
-        bgr: Whether the network wants blue first.
-        coordinates: Whether edges are told in "pixels" of the input, or in "shares" of its sides; darknet's heads are
+            that take integers, need 0 and 1.
+        bgr: Whether the channels are in the order blue, green, red.
+        coordinates: Whether edges are in "pixels" of the input, or in "shares" of its sides; darknet's heads are
             read as they are.
-        carry: How boxes are carried on over the frames in which they are missed.
+        carry: How boxes are propagated over the frames in which they are missed.
     """
 
     model: Path | None = None
@@ -100,7 +100,7 @@ class OnnxBoxesConfig:
         """Return the names of the network's classes, in order.
 
         Args:
-            default: Those that count where none are set.
+            default: Those that are used where none are set.
 
         Raises:
             ConfigError: They are named twice, or their file cannot be read.

@@ -23,9 +23,9 @@ class DetectorInput:
     """How an image becomes a detector's input.
 
     Attributes:
-        input_px: Width and height of the input where the network leaves them open.
+        input_px: Width and height of the input where the network does not fix them.
         fit: "letterbox" or "stretch".
-        colors: What its numbers mean.
+        colors: Normalisation of its colours.
     """
 
     input_px: tuple[int, int] = (640, 640)
@@ -34,7 +34,7 @@ class DetectorInput:
 
 
 class DetectionNetwork:
-    """A network with one image as input, and what it tells of it."""
+    """A network with one image as input, and its outputs."""
 
     def __init__(self, session: Any, name: object, reading: DetectorInput) -> None:
         """Take an opened network.
@@ -46,7 +46,7 @@ class DetectionNetwork:
 
         Raises:
             WeightsError: The network does not take one image.
-            ConfigError: It takes colours as they are, and is to be given other numbers.
+            ConfigError: It takes colours as they are, and the config normalises them.
         """
         self.name = name
         self._session = session
@@ -61,7 +61,7 @@ class DetectionNetwork:
 
     @property
     def output_shapes(self) -> list[list[Any]]:
-        """The outputs' shapes as far as the file tells them."""
+        """The outputs' shapes as far as the file fixes them."""
         return [list(node.shape or ()) for node in self._session.get_outputs()]
 
     def fit(self, image: RgbdImage) -> Fit:
@@ -83,15 +83,15 @@ class DetectionNetwork:
 
 
 class OnnxDetector:
-    """A network, the layout of its answer, and the best of boxes that overlap."""
+    """A network, the layout of its output, and non-maximum suppression."""
 
     def __init__(self, network: DetectionNetwork, layout: Layout, labels: Sequence[str], nms_iou: float) -> None:
-        """Take a network, and how it tells its boxes.
+        """Take a network, and the layout of its boxes.
 
         Args:
             network: The network.
-            layout: How it tells boxes.
-            labels: Names of the classes that the layout was asked for (M).
+            layout: Layout of its boxes.
+            labels: Names of the wanted classes (M).
             nms_iou: Highest overlap that two boxes of one class may have; of more, the best is kept.
 
         Raises:
@@ -104,10 +104,10 @@ class OnnxDetector:
         self._check(network.output_shapes)
 
     def detect(self, image: RgbdImage) -> tuple[Box, ...]:
-        """Return the boxes of the classes that are asked for, the most confident first.
+        """Return the boxes of the wanted classes, the most confident first.
 
         Raises:
-            WeightsError: The network's output is not what its layout promises.
+            WeightsError: The network's output does not match its layout.
         """
         fit = self._network.fit(image)
         outputs = self._network.run(image.rgb, fit)
@@ -129,10 +129,10 @@ class OnnxDetector:
             )
 
     def _sound(self, told: Told) -> Told:
-        """Return the boxes that have a place; refuse scores that are no probabilities."""
+        """Return the boxes with finite edges; refuse scores that are no probabilities."""
         if len(told.scores) and told.scores.max() > 1.0 + SLACK:
             raise WeightsError(
-                f"{self._network.name}: tells a score of {told.scores.max():.3g}; scores must be probabilities: "
+                f"{self._network.name}: returns a score of {told.scores.max():.3g}; scores must be probabilities: "
                 "export it with its last sigmoid, or set semantics.layout to what it tells"
             )
         sound = np.isfinite(told.unit).all(axis=1) & (told.unit[:, :2] <= told.unit[:, 2:]).all(axis=1)

@@ -1,4 +1,4 @@
-"""Networks in ONNX files that take one image: opening them, and what their input wants."""
+"""Networks in ONNX files that take one image: opening them, and their input format."""
 
 import functools
 from dataclasses import dataclass
@@ -16,10 +16,10 @@ INPUT_TYPES = {"tensor(float)": np.float32, "tensor(float16)": np.float16, "tens
 
 
 def find_model(named: Path) -> Path:
-    """Return a network's file; a bare name is sought in the models' usual places.
+    """Return a network's file; a bare name is looked up in the model folders.
 
     Raises:
-        WeightsError: There is none; the message says where it was looked for.
+        WeightsError: There is none; the message lists the folders.
     """
     found = named if named.is_file() else model_path(str(named))
     if found is not None and found.is_file():
@@ -38,7 +38,7 @@ class ImageInput:
     """The one input of a network that takes an image.
 
     Attributes:
-        name: What the network calls it.
+        name: Its name in the network.
         dtype: Type of its numbers.
         rows, columns: Its size [px]; None where the file leaves it open.
         channels_last: Whether it is (height, width, 3) and not (3, height, width).
@@ -132,12 +132,12 @@ def on_one_thread(model: str | bytes) -> Any:
     options.intra_op_num_threads = 1
     options.inter_op_num_threads = 1
     options.execution_mode = onnxruntime.ExecutionMode.ORT_SEQUENTIAL
-    options.log_severity_level = 4  # what fails is raised, and told in one line
+    options.log_severity_level = 4  # errors are raised, and reported in one line
     return onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
 
 
 def failures() -> tuple[type[Exception], ...]:
-    """Return what onnxruntime raises; its errors have no base of their own."""
+    """Return what onnxruntime raises; its errors have no common base."""
     from onnxruntime.capi import onnxruntime_pybind11_state as state
 
     names = (
@@ -148,5 +148,5 @@ def failures() -> tuple[type[Exception], ...]:
 
 
 def first_line(error: Exception) -> str:
-    """Return the first line of an error's message, cut to what fits a line of ours."""
+    """Return the first line of an error's message, shortened to fit one line."""
     return str(error).strip().splitlines()[0][:200]

@@ -16,7 +16,7 @@ from stillroom.viz.cloud.view import Viewpoint, default_view
 from stillroom.viz.style import DPI, INK, QUIET, picture
 
 HEADLIGHT = 0.25
-"""Share of the light that comes from the eye; the rest comes from everywhere."""
+"""Share of the light from the viewpoint; the rest is ambient."""
 CREASES = 0.55
 """How much darker the deepest crease is than open ground."""
 DEEP = 0.012
@@ -30,11 +30,11 @@ GAP_PX = 12
 CAPTIONS = ("everything fused", "people removed")
 
 
-# Light on a splatted cloud: what faces the eye is bright, what lies in a corner or behind an edge is darker.
+# Light on a splatted cloud: surfaces that face the viewpoint are bright, corners and edges darker.
 
 
 def fill_gaps(splats: Splats, gap_px: int) -> tuple[Splats, Bool]:
-    """Fill what is empty but so narrow that discs of twice the diameter would cover it.
+    """Fill gaps so narrow that discs of twice the diameter would cover them.
 
     Args:
         splats: What the view sees.
@@ -104,7 +104,7 @@ def creases(depth_m: F32, covered: Bool, reach_px: int) -> F32:
 
     def moved(dx: int, dy: int) -> F32:
         there = padded[r + dy : r + dy + height, r + dx : r + dx + width]
-        # Nothing known there: as if nothing stood before this pixel.
+        # Unknown there: treated as no occlusion of this pixel.
         return np.where(there > 0.0, there, inverse)
 
     deep = np.zeros_like(inverse)
@@ -116,7 +116,7 @@ def creases(depth_m: F32, covered: Bool, reach_px: int) -> F32:
 
 @dataclass(frozen=True)
 class CloudRendererConfig:
-    """How clouds look.
+    """The appearance of clouds.
 
     Attributes:
         supersampling: Each pixel is the mean of this many by this many.
@@ -149,7 +149,7 @@ class CloudRenderer:
     """Draws clouds: the same cloud and view give the same picture, byte for byte."""
 
     def __init__(self, config: CloudRendererConfig | None = None) -> None:
-        """Take note of the looks."""
+        """Store the appearance."""
         self._config = config or CloudRendererConfig()
 
     def render(self, cloud: DenseCloud, view: Viewpoint) -> U8:
@@ -227,7 +227,7 @@ def draw_dense_pair(
 
 
 def write_panels(path: Path, panels: list[U8], captions: tuple[str, ...], notes: list[str]) -> None:
-    """Write pictures of one size beside each other as one PNG, pixel for pixel, each with its caption in a corner.
+    """Write pictures of one size side by side as one PNG, pixel for pixel, each with its caption in a corner.
 
     Raises:
         StillroomError: The file cannot be written.

@@ -1,4 +1,4 @@
-"""Discs on an image with a depth buffer: each point of a cloud as a small coin that lies in its surface."""
+"""Discs on an image with a depth buffer: each point of a cloud as a disc in its tangent plane."""
 
 from dataclasses import dataclass, field
 
@@ -14,7 +14,7 @@ NEAR_M = 0.05
 """Points nearer to the eye than this are not drawn."""
 
 MAX_RADIUS_PX = 96
-"""No disc is drawn larger than this, lest a point before the eye covers the picture."""
+"""No disc is drawn larger than this, so that a point near the viewpoint does not cover the picture."""
 
 BEHIND = 2.0
 """Discs up to this many radii behind the nearest belong to the same surface and are blended with it."""

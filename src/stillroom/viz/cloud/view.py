@@ -1,4 +1,4 @@
-"""From where a cloud is looked at: chosen from the cloud and the poses of the camera that saw it."""
+"""Viewpoints of a cloud: chosen from the cloud and the poses of the camera that saw it."""
 
 from dataclasses import dataclass, field, replace
 
@@ -16,7 +16,7 @@ MARGIN = 0.03
 """Share of the picture left free on each side of what is to be seen."""
 
 INLYING = (0.1, 99.9)
-"""Percentiles of the projections between which what is to be seen lies: a stray point shall not shrink the room."""
+"""Percentiles of the projections between which what is to be seen lies: outliers must not shrink the room."""
 
 LEVEL = np.cos(np.radians(35.0))
 """Normals this near the cameras' upward direction say where up is."""
@@ -27,7 +27,7 @@ CEILING_SHARE = 0.01
 
 @dataclass(frozen=True)
 class Viewpoint:
-    """A pinhole camera somewhere in the world, and what is cut away before it.
+    """A virtual pinhole camera, and a clipping plane.
 
     Attributes:
         T_world_cam: Its pose (4, 4): x right, y down, z forward.
@@ -115,7 +115,7 @@ def upward(normals: Floats, T_world_cam: F64) -> F64:
         if np.count_nonzero(of_floors) < 0.01 * max(1, len(normals)):
             break
         flat = normals[of_floors].astype(np.float64)
-        # A high power of the cosine pulls towards the crowd.
+        # A high power of the cosine pulls towards the mode.
         up = _unit(((flat @ up)[:, None] ** 8 * flat).sum(axis=0))
     return up
 

@@ -1,4 +1,4 @@
-"""Looks on at a run and puts its images to the two geometries: DynaSLAM's and PSPNet-SLAM's."""
+"""Observes a run and runs the two geometries on its images: DynaSLAM's and PSPNet-SLAM's."""
 
 from collections import deque
 from dataclasses import dataclass, field, replace
@@ -38,14 +38,13 @@ SERPENTINE, ANTS = PATHS
 
 @dataclass(frozen=True)
 class GeometryTrialConfig:
-    """What is asked of each image.
+    """What is measured on each image.
 
     Attributes:
-        network: Whether what the run's network masks is left out; without, the geometry is on its own, and the people
-            are its to find.
+        network: Whether what the run's network masks is left out; if not, the geometry must find the people itself.
         homography: PSPNet-SLAM's test and search.
         multi_view: DynaSLAM's test, on keypoints of keyframes alone, as its paper has it.
-        repeats: How often each way is timed; the fastest counts.
+        repeats: How often each search is timed; the fastest counts.
         picture_of: Number of the image to draw; None for one in which much moves.
     """
 
@@ -55,19 +54,19 @@ class GeometryTrialConfig:
     repeats: int = 3
     picture_of: int | None = None
 
-    def build(self, system: System, seed: int) -> "GeometryOnlooker":
-        """Return who looks on at a system's run."""
-        return GeometryOnlooker(self, system, seed)
+    def build(self, system: System, seed: int) -> "GeometryObserver":
+        """Return the observer of a system's run."""
+        return GeometryObserver(self, system, seed)
 
 
 @dataclass(frozen=True)
 class Shown:
-    """All that a picture of an image's geometry needs.
+    """The data for a picture of one image's geometry.
 
     Attributes:
         image, earlier: The image, and the one that it was compared with.
-        findings: What the test said of every point.
-        found: What the ants found of it.
+        findings: Result of the test for every point.
+        found: What the ants found.
         ants: Their search.
         mask: What the network masked (H, W); None without a network.
     """
@@ -80,16 +79,16 @@ class Shown:
     mask: Bool | None
 
 
-class GeometryOnlooker:
+class GeometryObserver:
     """Times both tests on each tracked image; at the tracked pose, so that neither depends on the run's own sieve.
 
     Attributes:
-        comparisons: What came of each image, by test and search.
+        comparisons: The sums over the images, by test and search.
         shown: The image to draw: the one that was asked for, else one in which much moves.
     """
 
     def __init__(self, config: GeometryTrialConfig, system: System, seed: int) -> None:
-        """Start without a past."""
+        """Start without earlier images."""
         self.config, self._system, self._seed = config, system, seed
         parts = Parts(system.mapper.camera, system.map, seed)
         self._sieve = replace(config.homography, search=EXHAUSTIVE).build(parts)
@@ -104,7 +103,7 @@ class GeometryOnlooker:
         self.shown: Shown | None = None
 
     def on_frame(self, tracked: Tracked, semantics: Semantics, result: FrameResult) -> None:
-        """Compare the ways on an image; one without a pose is left out."""
+        """Compare the searches on an image; one without a pose is left out."""
         if tracked.T_world_cam is None:
             return
         frame, T_cam_world, world = tracked.frame, se3.inverse(tracked.T_world_cam), self._system.map
@@ -136,7 +135,7 @@ class GeometryOnlooker:
                 self.comparisons.setdefault((test, search), []).append(compared)
 
     def _show(self, findings: Findings, mask: Bool | None) -> None:
-        """Keep the image for the picture, if it is the one, or better than the one before."""
+        """Keep the image for the picture, if it is the chosen one, or better than the one before."""
         n = int(np.count_nonzero(findings.found.is_dynamic))
         wanted = self.config.picture_of
         # Where nearly all moves, the test has failed rather than found something.
@@ -181,12 +180,12 @@ def _by_depth(geometry: Geometry, seen: PointsInView, mask: Bool | None) -> Poin
     return PointSet(seen.points.px[points].astype(np.float64), test, grow, mask)
 
 
-# Looks on at a run on a rendered sequence, and counts what of the moving things was found.
+# Observes a run on a rendered sequence, and counts how much of the moving objects was found.
 
 
 @dataclass
 class Count:
-    """How many there were, and how many of them were said to move."""
+    """How many there were, and how many of them were classified as dynamic."""
 
     n: int = 0
     said: int = 0
@@ -198,12 +197,12 @@ class Count:
 
     @property
     def share(self) -> float | None:
-        """Share of them that was said to move; None where there were none."""
+        """Share of them that was classified as dynamic; None where there were none."""
         return self.said / self.n if self.n else None
 
 
 class MovingThings:
-    """What moves in a rendered sequence, rendered once for all runs on it."""
+    """The moving objects of a rendered sequence, rendered once for all runs on it."""
 
     def __init__(self, room: RenderedDataset) -> None:
         """Take the sequence, whole."""
@@ -226,8 +225,8 @@ class MovingThings:
         return bits.reshape(height, width).view(np.bool_)
 
 
-class TruthOnlooker:
-    """Holds the verdicts of a run against what truly moves.
+class TruthObserver:
+    """Compares the classification of a run with what truly moves.
 
     Attributes:
         moving, handled, static: Keypoints on all that moves, on handled objects while they move, and clear of both.

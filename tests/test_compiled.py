@@ -1,6 +1,6 @@
 """Where kernels are kept, that nothing else in the process is touched, and what happens where nothing can be kept.
 
-Each case is a process of its own, with a kernel of one line or with a small one of the house.
+Each case is a process of its own, with a kernel of one line or with a small one of the project.
 """
 
 import os
@@ -35,7 +35,7 @@ import runpy, sys
 runpy.run_path(sys.argv[1])
 """
 """The folder as somebody finds it who may not write there, whoever runs this test: root may write everywhere."""
-HOUSE_KERNEL = """
+PROJECT_KERNEL = """
 import numpy as np
 from stillroom.features.matching import _sort_into_cells as kernel
 kernel(np.zeros((3, 2), np.float32), np.zeros(2, np.float32), np.array([4, 4], np.int32))
@@ -76,12 +76,12 @@ def contents(folder: Path) -> dict[Path, bytes]:
 
 
 def test_a_second_process_loads_what_the_first_has_compiled(tmp_path: Path) -> None:
-    first = answer("-c", HOUSE_KERNEL, XDG_CACHE_HOME=str(tmp_path))
+    first = answer("-c", PROJECT_KERNEL, XDG_CACHE_HOME=str(tmp_path))
     assert first[:2] == ["0", "1"]
     assert Path(first[2]).parent == home(tmp_path)
     assert list(home(tmp_path).rglob("*.nbi"))
     assert list(home(tmp_path).rglob("*.nbc"))
-    second = answer("-c", HOUSE_KERNEL, XDG_CACHE_HOME=str(tmp_path))
+    second = answer("-c", PROJECT_KERNEL, XDG_CACHE_HOME=str(tmp_path))
     assert second[:2] == ["1", "0"]
 
 
@@ -231,3 +231,47 @@ def test_help_touches_no_folder(option: str, tmp_path: Path) -> None:
     done = process("-m", "stillroom.cli.main", option, XDG_CACHE_HOME=str(tmp_path), HOME=str(tmp_path))
     assert "stillroom" in done.stdout
     assert list(tmp_path.iterdir()) == []
+
+
+NAMED = """
+from typing import NamedTuple
+from stillroom.compiled import njit
+
+class {name}(NamedTuple):
+    x: float
+
+@njit(cache=True)
+def plus_one(given):
+    return given.x + 1.0
+
+assert plus_one({name}(1.0)) == 2.0
+print(sum(plus_one.stats.cache_hits.values()), sum(plus_one.stats.cache_misses.values()))
+"""
+
+
+def test_an_entry_that_names_a_class_of_before_is_compiled_again(tmp_path: Path) -> None:
+    """Whoever fetches a new commit has entries of the old one; the stamp of the file alone does not say so in time."""
+    (tmp_path / "sources").mkdir()
+    module, program = tmp_path / "sources" / "kernel_of_mine.py", "import kernel_of_mine"
+    variables = {"XDG_CACHE_HOME": str(tmp_path / "cache"), "PYTHONPATH": str(module.parent)}
+    said = []
+    for name in ("Before", "Before", "Renamed", "Renamed"):
+        module.write_text(NAMED.format(name=name), encoding="utf-8")
+        os.utime(module, (1_000_000_000, 1_000_000_000 + len(name)))
+        said.append(answer("-c", program, **variables))
+    assert said == [["0", "1"], ["1", "0"], ["0", "1"], ["1", "0"]]
+
+
+def test_a_full_disk_costs_a_warning_and_not_the_run(program: str, tmp_path: Path) -> None:
+    code = f"""
+import errno, runpy
+from numba.core.caching import IndexDataCacheFile
+def full(*arguments):
+    raise OSError(errno.ENOSPC, "No space left on device")
+IndexDataCacheFile.save = full
+runpy.run_path({program!r})
+"""
+    done = process("-c", code, XDG_CACHE_HOME=str(tmp_path / "cache"))
+    assert done.stdout.split()[:2] == ["0", "1"]
+    assert done.stderr.count("a compiled kernel cannot be written (No space left on device)") == 1
+    assert "Traceback" not in done.stderr

@@ -13,6 +13,7 @@ import functools
 import inspect
 import logging
 import os
+import pickle
 import shutil
 import tempfile
 import threading
@@ -48,9 +49,41 @@ def njit(signature_or_function: Any = None, **options: Any) -> Any:
         if not options.get("cache"):
             return numba.njit(signature_or_function, **options)(function)
         with _cache_in_place() as is_there:
-            return numba.njit(signature_or_function, **options | {"cache": is_there})(function)
+            return _with_safe_cache(numba.njit(signature_or_function, **options | {"cache": is_there})(function))
 
     return decorate
+
+
+def _with_safe_cache(kernel: Any) -> Any:
+    """Return a kernel whose cache never ends a program: what cannot be read is compiled again, or kept for now only.
+
+    An entry names the classes of the kernel's arguments. One that was written before such a class was renamed or moved
+    cannot be read any more; numba would raise what `pickle` does.
+    """
+    cache = kernel._cache
+    load, save = cache.load_overload, cache.save_overload
+
+    def load_overload(signature: Any, target: Any) -> Any:
+        try:
+            return load(signature, target)
+        except (AttributeError, ImportError, EOFError, pickle.UnpicklingError) as error:
+            logger.info("%s: a cached kernel is out of date (%s); it is compiled again", cache.cache_path, error)
+            cache.flush()
+            return None
+
+    def save_overload(signature: Any, data: Any) -> None:
+        try:
+            save(signature, data)
+        except OSError as error:
+            _say_not_kept(str(cache.cache_path), error.strerror or str(error))
+
+    cache.load_overload, cache.save_overload = load_overload, save_overload
+    return kernel
+
+
+@functools.cache
+def _say_not_kept(folder: str, reason: str) -> None:
+    logger.warning("%s: a compiled kernel cannot be written (%s); it is compiled again next time", folder, reason)
 
 
 @contextmanager

@@ -120,7 +120,13 @@ REQUESTS: dict[str, tuple[list[str], list[str]]] = {
     "nothing left": (["{room}", "--drop", ":"], ["leaves no image"]),
     "no such range to silence": (["{room}", "--detector-off", "50:60"], ["detector-off 50:60"]),
     "an unknown camera": (["{room}", "--camera", "kinect"], ["no camera is called 'kinect'"]),
-    "a frame rate where there are times": (["{room}", "--fps", "30"], ["rgb.txt tells the times"]),
+    "a frame rate that is none": (["{room}", "--fps", "0"], ["fps is 0.0"]),
+    "a unit of time that is none": (["{room}", "--time-unit", "min"], ["time-unit is 'min'", "s, ms, us, ns"]),
+    "a way to pair that is none": (["{room}", "--pair-by", "size"], ["pair-by is 'size'", "time, name, order"]),
+    "depth that never comes": (
+        ["{room}", "--max-gap", "0.001", "--depth-offset", "-0.01"],
+        ["within 0.001 s", "0.01 s earlier", "[see troubleshooting: depth-offset]"],
+    ),
     "a negative seed": (["{room}", "--seed", "-3"], ["seed is -3"]),
     "masks that are not there": (
         ["{room}", "--set", "semantics.kind=mask-files", "--set", "semantics.folder=masks"],

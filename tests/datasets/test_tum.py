@@ -43,7 +43,7 @@ def test_opens_a_folder(tiny: Path) -> None:
     sequence = open_tum(tiny)
     assert len(sequence) == 6
     assert sequence.name == "tiny"
-    assert sequence.unpaired == 0
+    assert len(sequence.unpaired_s) == 0
     assert sequence.groundtruth is not None
     assert len(sequence.groundtruth) == 6
     assert sequence.timestamps_s[0] == pytest.approx(1305031229.5, abs=1e-6)
@@ -121,7 +121,7 @@ def test_a_frame_without_depth_is_left_out_and_counted(tiny: Path, caplog: pytes
     with caplog.at_level(logging.INFO, logger="stillroom"):
         sequence = open_tum(tiny)
     assert len(sequence) == 5
-    assert sequence.unpaired == 1
+    assert sequence.unpaired_s == pytest.approx([1305031229.5 + 2 / 30], abs=1e-5)
     assert "1 of 6 colour images have no depth image" in caplog.text
     assert [sequence.load(i).depth_m[0, 0] for i in range(5)] == pytest.approx([1.5, 1.6, 1.8, 1.9, 2.0])
 

@@ -1,18 +1,19 @@
 """A sequence of image files: colour and depth paired in time, read when asked for."""
 
 import logging
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from stillroom.data.association import TUM_MAX_GAP_S, associate
 from stillroom.data.image import RgbdImage
 from stillroom.data.trajectory import Trajectory, read_tum
 from stillroom.datasets.camera_file import choose_camera
+from stillroom.datasets.listing import Listing
+from stillroom.datasets.pairing import Pairing, pair_images
 from stillroom.datasets.recording import Recording
+from stillroom.datasets.time_units import NAMES, groundtruth_in_seconds
 from stillroom.errors import CalibrationError, DatasetError, FrameError
 from stillroom.geometry.arrays import F32, F64, I64, U8, U16
 from stillroom.geometry.camera import Camera
@@ -91,21 +92,6 @@ def _is_cut_off(encoded: bytes) -> bool:
 
 
 @dataclass(frozen=True)
-class Listing:
-    """Image files and their times.
-
-    Attributes:
-        source: The list file or folder, for messages.
-        timestamps_s: Times (N,) float64 [s], strictly increasing.
-        files: The images, in the same order.
-    """
-
-    source: Path
-    timestamps_s: F64
-    files: tuple[Path, ...]
-
-
-@dataclass(frozen=True)
 class ImageSequence(Recording):
     """A `Dataset` whose images lie on disk.
 
@@ -117,7 +103,7 @@ class ImageSequence(Recording):
         rgb_files, depth_files: The images.
         groundtruth: Poses as the data set gives them, where it has any.
         groundtruth_at_camera: The same moved to the camera, where they are those of another body that rides on it.
-        unpaired: How many listed colour images were left out because no depth image belongs to them.
+        unpaired_s: Times (M,) [s] of colour images that were left out because no depth image belongs to them.
     """
 
     name: str
@@ -128,7 +114,7 @@ class ImageSequence(Recording):
     depth_files: tuple[Path, ...]
     groundtruth: Trajectory | None = None
     groundtruth_at_camera: Trajectory | None = None
-    unpaired: int = 0
+    unpaired_s: F64 = field(default_factory=lambda: np.zeros(0))
 
     def load(self, index: int) -> RgbdImage:
         """Read image `index`.
@@ -153,6 +139,7 @@ def build_sequence(
     depth: Listing,
     camera: str | None = None,
     name: str | None = None,
+    pairing: Pairing | None = None,
     pairs: tuple[I64, I64] | None = None,
 ) -> ImageSequence:
     """Pair the images, choose the calibration, read the ground truth, and look at the first frames.
@@ -163,8 +150,9 @@ def build_sequence(
         depth: Depth images, at least one.
         camera: The calibration that the user asks for, a name or a file.
         name: Name of the sequence; the folder's where not given.
-        pairs: Indices (K,) into `rgb` and (K,) into `depth` of images that belong together; by time, one to one,
-            where not given.
+        pairing: How images are paired.
+        pairs: Indices (K,) into `rgb` and (K,) into `depth` of images that belong together; as `pairing` says where
+            not given.
 
     Raises:
         DatasetError: Nothing pairs, or none of the first frames can be used.
@@ -173,12 +161,7 @@ def build_sequence(
     """
     name = name or folder.resolve().name
     calibration, source = choose_camera(folder, name, camera)
-    of_rgb, of_depth = pairs or associate(rgb.timestamps_s, depth.timestamps_s, TUM_MAX_GAP_S)
-    if len(of_rgb) == 0:
-        raise DatasetError(
-            f"{folder}: no colour image has a depth image within {TUM_MAX_GAP_S} s; are both lists in seconds?"
-        )
-    groundtruth = folder / GROUNDTRUTH_NAME
+    of_rgb, of_depth = pairs or pair_images(folder, rgb, depth, pairing or Pairing())
     sequence = ImageSequence(
         name=name,
         camera=calibration,
@@ -186,12 +169,21 @@ def build_sequence(
         timestamps_s=rgb.timestamps_s[of_rgb],
         rgb_files=tuple(rgb.files[i] for i in of_rgb),
         depth_files=tuple(depth.files[i] for i in of_depth),
-        groundtruth=read_tum(groundtruth) if groundtruth.exists() else None,
-        unpaired=len(rgb.files) - len(of_rgb),
+        groundtruth=_groundtruth(folder / GROUNDTRUTH_NAME, rgb.timestamps_s),
+        unpaired_s=np.delete(rgb.timestamps_s, of_rgb),
     )
     _probe(folder, sequence)
     _remark(sequence)
     return sequence
+
+
+def _groundtruth(path: Path, times_s: F64) -> Trajectory | None:
+    if not path.exists():
+        return None
+    groundtruth, unit = groundtruth_in_seconds(read_tum(path), times_s)
+    if unit != "s":
+        log.warning("%s: read as %s, converted to seconds [see troubleshooting: time-unit]", path, NAMES[unit])
+    return groundtruth
 
 
 def _probe(folder: Path, sequence: ImageSequence) -> None:
@@ -214,13 +206,14 @@ def _probe(folder: Path, sequence: ImageSequence) -> None:
 
 def _remark(sequence: ImageSequence) -> None:
     """Say what is odd about a sequence that can be used all the same."""
-    if sequence.unpaired:
-        log.info(
-            "%s: %d of %d colour images have no depth image within %g s and are left out",
+    n_unpaired = len(sequence.unpaired_s)
+    if n_unpaired:
+        log.warning(
+            "%s: %d of %d colour images have no depth image that belongs to them and are left out; the coverage counts "
+            "them as not tracked [see troubleshooting: unpaired-images]",
             sequence.name,
-            sequence.unpaired,
-            sequence.unpaired + len(sequence),
-            TUM_MAX_GAP_S,
+            n_unpaired,
+            n_unpaired + len(sequence),
         )
     steps_s = np.diff(sequence.timestamps_s)
     if len(steps_s) == 0:
@@ -254,20 +247,3 @@ def _size(pixels: U8 | U16) -> str:
 
 def _size_of(camera: Camera) -> str:
     return f"{camera.width}×{camera.height}"
-
-
-def increasing(source: Path, timestamps_s: Sequence[float], places: Sequence[str]) -> F64:
-    """Return times (N,) float64 [s] after making sure that they are finite and strictly increase.
-
-    Raises:
-        DatasetError: One does not; the message names its place.
-    """
-    times = np.asarray(timestamps_s, dtype=np.float64)
-    for wrong in np.flatnonzero(~np.isfinite(times)).tolist():
-        raise DatasetError(f"{source}{places[wrong]}: the timestamp is not a finite number")
-    for step in np.flatnonzero(np.diff(times) <= 0).tolist():
-        word = "repeats" if times[step + 1] == times[step] else "goes back"
-        raise DatasetError(
-            f"{source}{places[step + 1]}: the timestamp {times[step + 1]:.6f} {word}; times must increase, remove it"
-        )
-    return times

@@ -56,7 +56,8 @@ class Evaluation:
 
     Attributes:
         n_tracked: Frames with a pose.
-        n_given: Frames that the run was given; None where only a trajectory file is known.
+        n_given: Frames that were recorded: those that the run was given, and colour images that have no depth image.
+            None where only a trajectory file is known.
         as_given: Figures against the ground truth as the data set gives it; this is the ATE that tables quote.
         at_camera: Figures against the ground truth moved to the camera, where the given one is of another body
             (Bonn: a marker). Relative errors there mean something only with this one
@@ -109,7 +110,7 @@ def evaluate(
         estimate: Poses of the camera, one for each tracked frame.
         groundtruth: True poses as the data set gives them.
         groundtruth_camera: True poses of the camera itself, where those given are of another body.
-        n_given: Frames that the run was given.
+        n_given: Frames that were recorded.
         max_gap_s: Largest gap in time of a pair of poses [s].
 
     Raises:

@@ -4,13 +4,13 @@ import json
 from pathlib import Path
 
 import pytest
+from tests.fabricated.recorders import keep
+from tests.fabricated.rgbd_folder import write_rgbd_folder
 
 from stillroom.datasets.open import open_dataset
 from stillroom.datasets.selection import select
 from stillroom.pipeline import RunOptions, evaluate_folder, run
 from stillroom.presets.registry import configure
-from tests.fabricated.recorders import keep
-from tests.fabricated.rgbd_folder import write_rgbd_folder
 
 N_FRAMES = 12
 

@@ -1,9 +1,10 @@
 """Sequences as odd recorders write them: lists with other clocks and units, streams that lost images, other rates."""
 
 import shutil
+import zipfile
 from collections.abc import Callable, Iterable
 from decimal import Decimal
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 
 LISTS = ("rgb.txt", "depth.txt")
 Stamp = Callable[[int, str], str]
@@ -69,3 +70,32 @@ def without_lists(folder: Path, name_of: Callable[[str, int], str] = lambda stre
         for path in (folder / stream).iterdir():
             path.rename(path.with_name(path.name.removeprefix("new_")))
     return folder
+
+
+def associated(folder: Path) -> None:
+    """Write one list of four columns in place of two lists, as TUM's `associate.py` does."""
+    rgb, depth = (rows_of(folder / name) for name in LISTS)
+    lines = [" ".join((*first, *second)) for first, second in zip(rgb, depth, strict=True)]
+    (folder / "depth.txt").unlink()
+    (folder / "rgb.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def zip_of_windows(folder: Path, archive: Path) -> Path:
+    """Pack a folder with backslashes in its names, and what macOS puts beside files."""
+    with zipfile.ZipFile(archive, "w") as packed:
+        for path in sorted(folder.rglob("*")):
+            inside = str(PureWindowsPath(folder.name, *path.relative_to(folder).parts))
+            if path.is_dir():
+                packed.writestr(zip_entry(inside + "\\"), b"")
+                continue
+            packed.writestr(zip_entry(inside), path.read_bytes())
+            macos = PureWindowsPath("__MACOSX", folder.name, *path.relative_to(folder).parent.parts, f"._{path.name}")
+            packed.writestr(zip_entry(str(macos)), b"\x00\x05\x16\x07 Mac OS X")
+    return archive
+
+
+def zip_entry(name: str) -> zipfile.ZipInfo:
+    """Return an entry with a name as it is: `ZipInfo` puts slashes in place of a system's own separators."""
+    entry = zipfile.ZipInfo("x")
+    entry.filename = name
+    return entry

@@ -18,6 +18,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
+from stillroom.data.text import read_text
 from stillroom.errors import CalibrationError
 from stillroom.geometry.camera import Camera
 
@@ -73,11 +74,11 @@ def write_camera(camera: Camera, path: Path) -> None:
 
 def _read_toml(path: Path) -> dict[str, Any]:
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(read_text(path))
     except (FileNotFoundError, IsADirectoryError):
         raise CalibrationError(f"{path}: no such camera file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise CalibrationError(f"{path}: cannot be read as text ({error})") from error
+    except (OSError, UnicodeError) as error:
+        raise CalibrationError(f"{path}: cannot be read as text ({error}) [see troubleshooting: text-files]") from error
     except tomllib.TOMLDecodeError as error:
         raise CalibrationError(f"{path}: not a TOML file: {error}") from error
 

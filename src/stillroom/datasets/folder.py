@@ -16,7 +16,7 @@ import numpy as np
 
 from stillroom.datasets.image_sequence import ImageSequence, build_sequence
 from stillroom.datasets.kind import DatasetKind, SequenceRequest
-from stillroom.datasets.listing import Listing, increasing
+from stillroom.datasets.listing import HIDDEN, IMAGE_SUFFIXES, Listing, increasing
 from stillroom.datasets.pairing import BY_NAME, Pairing, last_number, pair_images
 from stillroom.datasets.time_units import EPOCH_DIGITS, LARGEST_COUNTED_STEP, in_seconds
 from stillroom.datasets.tum import RGB_LIST_NAME, open_tum, require_rate
@@ -24,7 +24,6 @@ from stillroom.errors import DatasetError
 from stillroom.geometry.arrays import F64
 from stillroom.protocols import Dataset
 
-IMAGE_SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm"}
 SECONDS = re.compile(r"\d+\.\d+")
 NUMBER = re.compile(r"\d+(\.\d+)?")
 
@@ -79,7 +78,7 @@ def _images(folder: Path) -> list[Path]:
     """Return the images of a folder in the order of their names, numbers in them counted as numbers."""
     if not folder.is_dir():
         raise DatasetError(f"{folder.parent}: no {RGB_LIST_NAME} and no folder {folder.name}/ in it")
-    files = [path for path in folder.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES]
+    files = [p for p in folder.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and not p.name.startswith(HIDDEN)]
     if not files:
         raise DatasetError(f"{folder}: no images in it; is the sequence complete?")
     return sorted(files, key=_natural_order)

@@ -9,6 +9,10 @@ import numpy as np
 from stillroom.errors import DatasetError
 from stillroom.geometry.arrays import F64
 
+IMAGE_SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm"}
+HIDDEN = "."
+"""Files whose names begin so are no images of a sequence: macOS writes `._0001.png` beside `0001.png`."""
+
 
 @dataclass(frozen=True)
 class Listing:

@@ -1,11 +1,16 @@
 """The TUM RGB-D benchmark's layout: `rgb.txt` and `depth.txt` list times and images (Sturm et al., IROS 2012)."""
 
 import logging
-from dataclasses import dataclass
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from stillroom.data.text import read_text
+from stillroom.data.trajectory import is_header
+from stillroom.datasets.archive import MACOS_PREFIX
 from stillroom.datasets.image_sequence import ImageSequence, build_sequence
 from stillroom.datasets.listing import Listing, increasing
 from stillroom.datasets.pairing import BY_ORDER, BY_TIME, Pairing, pair_images
@@ -14,6 +19,8 @@ from stillroom.errors import ConfigError, DatasetError
 from stillroom.geometry.arrays import F64, I64
 
 RGB_LIST_NAME, DEPTH_LIST_NAME = "rgb.txt", "depth.txt"
+ASSOCIATION = re.compile(r"([-+.\deE]+)[\s,]+(\S+\.\w+)[\s,]+([-+.\deE]+)[\s,]+(\S+\.\w+)")
+"""A line of `associate.py`: the time and the file of a colour image, then those of its depth image."""
 log = logging.getLogger(__name__)
 
 
@@ -45,7 +52,15 @@ def open_tum(
     if fps is not None:
         require_rate(fps)
     pairing = pairing or Pairing()
-    rgb_rows, depth_rows = _read_rows(folder / RGB_LIST_NAME), _read_rows(folder / DEPTH_LIST_NAME)
+    rgb_rows = _read_rows(folder / RGB_LIST_NAME)
+    if rgb_rows.depth is not None:
+        return _open_associated(folder, rgb_rows, rgb_rows.depth, camera, name, fps, pairing)
+    depth_rows = _read_rows(folder / DEPTH_LIST_NAME)
+    if depth_rows.depth is not None:
+        raise DatasetError(
+            f"{depth_rows.source}: has four columns, as associate.py writes them; save it as {RGB_LIST_NAME}, whose "
+            "lines then are the pairs [see troubleshooting: text-files]"
+        )
     if fps is None:
         rgb, depth = _in_seconds(folder, rgb_rows, depth_rows, pairing)
         return build_sequence(folder, rgb, depth, camera, name, pairing)
@@ -84,6 +99,7 @@ class _Rows:
     words: tuple[str, ...]
     files: tuple[Path, ...]
     places: tuple[str, ...]
+    depth: "_Rows | None" = None
 
     def numbers(self) -> F64:
         return np.array([float(word) for word in self.words])
@@ -97,33 +113,85 @@ class _Rows:
 
 
 def _read_rows(path: Path) -> _Rows:
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except FileNotFoundError:
-        raise DatasetError(f"{path.parent}: no {path.name} in it; is this a sequence in the TUM layout?") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise DatasetError(f"{path}: cannot be read as text ({error})") from error
-    stamps: list[str] = []
-    files: list[Path] = []
+    """Read a list; one with four columns has the depth images in `depth`."""
+    rows: list[list[str]] = []
     places: list[str] = []
-    for number, line in enumerate(lines, start=1):
-        words = line.split(maxsplit=1)
-        if not words or words[0].startswith("#"):
+    for number, line in enumerate(_lines(path), start=1):
+        words = _two(line)
+        if not words or words[0].startswith("#") or (not rows and is_header(line.replace(",", " ").split())):
             continue
         if len(words) != 2:
-            raise DatasetError(f"{path}:{number}: '{line.strip()[:60]}' is no line 'timestamp file'")
-        try:
-            is_finite = np.isfinite(float(words[0]))
-        except ValueError:
-            raise DatasetError(f"{path}:{number}: '{words[0][:40]}' is no timestamp") from None
-        if not is_finite:
-            raise DatasetError(f"{path}:{number}: the timestamp is not a finite number")
-        stamps.append(words[0])
-        files.append(path.parent / words[1].strip())
-        places.append(f":{number}")
-    if not files:
+            raise DatasetError(
+                f"{path}:{number}: '{line.strip()[:60]}' is no line 'timestamp file' [see troubleshooting: text-files]"
+            )
+        associated = ASSOCIATION.fullmatch(line.strip())
+        words = list(associated.groups()) if associated else words
+        if rows and len(words) != len(rows[0]):
+            raise DatasetError(
+                f"{path}:{number}: two columns in some lines and four in others [see troubleshooting: text-files]"
+            )
+        for word in words[::2]:
+            _require_time(path, number, word)
+        if not Path(words[1]).name.startswith(MACOS_PREFIX):
+            rows.append(words)
+            places.append(f":{number}")
+    if not rows:
         raise DatasetError(f"{path}: lists no images; is the sequence complete?")
-    return _Rows(path, tuple(stamps), tuple(files), tuple(places))
+    columns = list(zip(*rows, strict=True))
+    depth = _Rows(path, columns[2], _files(path, columns[3]), tuple(places)) if len(columns) == 4 else None
+    return _Rows(path, columns[0], _files(path, columns[1]), tuple(places), depth)
+
+
+def _two(line: str) -> list[str]:
+    """Return time and file of a line; a comma may stand between them, but none makes two of a time."""
+    words = line.split(maxsplit=1)
+    if len(words) == 1:
+        words = words[0].split(",", maxsplit=1)
+    return [words[0].rstrip(","), *words[1:]] if words else []
+
+
+def _lines(path: Path) -> list[str]:
+    try:
+        return read_text(path).splitlines()
+    except FileNotFoundError:
+        raise DatasetError(f"{path.parent}: no {path.name} in it; is this a sequence in the TUM layout?") from None
+    except (OSError, UnicodeError) as error:
+        raise DatasetError(f"{path}: cannot be read as text ({error}) [see troubleshooting: text-files]") from error
+
+
+def _require_time(path: Path, number: int, word: str) -> None:
+    try:
+        is_finite = np.isfinite(float(word))
+    except ValueError:
+        raise DatasetError(f"{path}:{number}: '{word[:40]}' is no timestamp") from None
+    if not is_finite:
+        raise DatasetError(f"{path}:{number}: the timestamp is not a finite number")
+
+
+def _files(source: Path, names: Sequence[str]) -> tuple[Path, ...]:
+    """Return the images that a list names, beside it; lists written on Windows may have backslashes."""
+    return tuple(source.parent / name.strip().replace("\\", "/") for name in names)
+
+
+def _open_associated(
+    folder: Path, rows: _Rows, depth: _Rows, camera: str | None, name: str | None, fps: float | None, pairing: Pairing
+) -> ImageSequence:
+    """Open a sequence by a list of four columns, whose lines are the pairs."""
+    log.warning(
+        "%s: has four columns, as associate.py writes them; each line is a pair, and %s is not read "
+        "[see troubleshooting: text-files]",
+        rows.source,
+        DEPTH_LIST_NAME,
+    )
+    places = np.arange(len(rows.files))
+    if fps is None:
+        rgb, _ = _in_seconds(folder, rows, rows, pairing)
+    else:
+        rgb, _ = _at_rate(folder, rows, rows, replace(pairing, by=BY_ORDER), fps)
+    # One depth image may belong to two colour images, so its times need not increase.
+    return build_sequence(
+        folder, rgb, Listing(depth.source, rgb.timestamps_s, depth.files), camera, name, pairing, (places, places)
+    )
 
 
 def _in_seconds(folder: Path, rgb: _Rows, depth: _Rows, pairing: Pairing) -> tuple[Listing, Listing]:

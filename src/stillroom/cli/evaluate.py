@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from stillroom.data.association import TUM_MAX_GAP_S
-from stillroom.errors import ConfigError
+from stillroom.errors import ConfigError, TrajectoryError
 
 if TYPE_CHECKING:
     from stillroom.evaluation.time_matching import TimeMatching
@@ -111,6 +111,7 @@ def _refuse(*options: tuple[str, object]) -> None:
 
 def _truth(groundtruth: Path | None, sequence: str | None) -> "Truth":
     from stillroom.data.trajectory import read_tum
+    from stillroom.datasets.recording import groundtruth_flaw
     from stillroom.pipeline import Source
     from stillroom.pipeline.results import Truth
 
@@ -122,6 +123,9 @@ def _truth(groundtruth: Path | None, sequence: str | None) -> "Truth":
         return Truth(read_tum(groundtruth))
     dataset = Source(str(sequence)).open()
     truth = Truth.of(dataset)
+    flaw = groundtruth_flaw(dataset)
+    if flaw:
+        raise TrajectoryError(f"{flaw} [see troubleshooting: groundtruth]")
     if truth is None:
         raise ConfigError(f"--sequence {sequence}: it has no ground truth; give a file with --groundtruth")
     return truth

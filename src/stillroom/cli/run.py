@@ -172,9 +172,8 @@ def _report(outcome: "RunOutcome") -> None:
         print_evaluation(outcome.evaluation)
     else:
         share = percent(outcome.n_tracked / outcome.n_recorded if outcome.n_recorded else None)
-        print_lines(
-            [f"{outcome.n_tracked} of {outcome.n_recorded} frames tracked ({share}); no ground truth to compare with"]
-        )
+        why = "its ground truth gave no figures" if outcome.has_groundtruth else "no ground truth to compare with"
+        print_lines([f"{outcome.n_tracked} of {outcome.n_recorded} frames tracked ({share}); {why}"])
     print_lines(_sentences(outcome))
 
 

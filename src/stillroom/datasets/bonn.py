@@ -64,7 +64,6 @@ def open_bonn(
         DatasetError: The folder or a list is missing, empty or malformed, or no frame can be used.
         CalibrationError: The calibration asked for is unknown or does not fit the images.
         ConfigError: `fps` is not a positive number.
-        TrajectoryError: The ground truth cannot be read.
     """
     sequence = open_tum(folder, camera, name, fps, pairing)
     if sequence.groundtruth is None:

@@ -50,7 +50,6 @@ def open_folder(
             which images belong together, or no frame can be used.
         CalibrationError: No calibration is known, or it does not fit the images.
         ConfigError: `fps` is not a positive number.
-        TrajectoryError: The ground truth cannot be read.
     """
     if not folder.is_dir():
         raise DatasetError(f"{folder}: no such folder")

@@ -14,7 +14,7 @@ from stillroom.datasets.listing import Listing
 from stillroom.datasets.pairing import Pairing, pair_images
 from stillroom.datasets.recording import Recording
 from stillroom.datasets.time_units import NAMES, groundtruth_in_seconds
-from stillroom.errors import CalibrationError, DatasetError, FrameError
+from stillroom.errors import CalibrationError, DatasetError, FrameError, TrajectoryError
 from stillroom.geometry.arrays import F32, F64, I64, U8, U16
 from stillroom.geometry.camera import Camera
 
@@ -104,6 +104,7 @@ class ImageSequence(Recording):
         groundtruth: Poses as the data set gives them, where it has any.
         groundtruth_at_camera: The same moved to the camera, where they are those of another body that rides on it.
         unpaired_s: Times (M,) [s] of colour images that were left out because no depth image belongs to them.
+        groundtruth_flaw: Why `groundtruth.txt` cannot be used; empty where it can, or where there is none.
     """
 
     name: str
@@ -115,6 +116,7 @@ class ImageSequence(Recording):
     groundtruth: Trajectory | None = None
     groundtruth_at_camera: Trajectory | None = None
     unpaired_s: F64 = field(default_factory=lambda: np.zeros(0))
+    groundtruth_flaw: str = ""
 
     def load(self, index: int) -> RgbdImage:
         """Read image `index`.
@@ -157,11 +159,11 @@ def build_sequence(
     Raises:
         DatasetError: Nothing pairs, or none of the first frames can be used.
         CalibrationError: No calibration is known, or its size is not that of the images.
-        TrajectoryError: The ground truth cannot be read.
     """
     name = name or folder.resolve().name
     calibration, source = choose_camera(folder, name, camera)
     of_rgb, of_depth = pairs or pair_images(folder, rgb, depth, pairing or Pairing())
+    groundtruth, flaw = _groundtruth(folder / GROUNDTRUTH_NAME, rgb.timestamps_s)
     sequence = ImageSequence(
         name=name,
         camera=calibration,
@@ -169,21 +171,29 @@ def build_sequence(
         timestamps_s=rgb.timestamps_s[of_rgb],
         rgb_files=tuple(rgb.files[i] for i in of_rgb),
         depth_files=tuple(depth.files[i] for i in of_depth),
-        groundtruth=_groundtruth(folder / GROUNDTRUTH_NAME, rgb.timestamps_s),
+        groundtruth=groundtruth,
         unpaired_s=np.delete(rgb.timestamps_s, of_rgb),
+        groundtruth_flaw=flaw,
     )
     _probe(folder, sequence)
     _remark(sequence)
     return sequence
 
 
-def _groundtruth(path: Path, times_s: F64) -> Trajectory | None:
+def _groundtruth(path: Path, times_s: F64) -> tuple[Trajectory | None, str]:
+    """Return the ground truth, where there is one that can be used, and what is wrong with one that cannot."""
     if not path.exists():
-        return None
-    groundtruth, unit = groundtruth_in_seconds(read_tum(path), times_s)
+        return None, ""
+    try:
+        as_written = read_tum(path)
+    except TrajectoryError as error:
+        flaw = str(error).partition(" [see")[0]
+        log.warning("ground truth is left out, so there are no figures: %s [see troubleshooting: groundtruth]", flaw)
+        return None, flaw
+    groundtruth, unit = groundtruth_in_seconds(as_written, times_s)
     if unit != "s":
         log.warning("%s: read as %s, converted to seconds [see troubleshooting: time-unit]", path, NAMES[unit])
-    return groundtruth
+    return groundtruth, ""
 
 
 def _probe(folder: Path, sequence: ImageSequence) -> None:

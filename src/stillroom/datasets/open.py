@@ -32,7 +32,6 @@ def open_dataset(
     Raises:
         DatasetError: There is no such sequence, or it cannot be opened.
         CalibrationError: No calibration is known for it, or it does not fit the images.
-        TrajectoryError: Its ground truth cannot be read.
         ConfigError: An option does not go with this kind of sequence, or an installed package offers what is no kind.
     """
     kinds = tuple(all_kinds().values())

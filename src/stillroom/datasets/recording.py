@@ -35,6 +35,11 @@ def unpaired_s(dataset: Dataset) -> F64:
     return np.asarray(getattr(dataset, "unpaired_s", ()), dtype=np.float64)
 
 
+def groundtruth_flaw(dataset: Dataset) -> str:
+    """Return why the ground truth that lies with a data set cannot be used; empty where it can, or there is none."""
+    return str(getattr(dataset, "groundtruth_flaw", ""))
+
+
 class Recording:
     """Base of a `Dataset` that is a whole sequence. What is left to write are four attributes and `load`.
 
@@ -49,6 +54,8 @@ class Recording:
         groundtruth_at_camera: The same moved to the camera, where the given ones are those of another body.
         is_reversed: Whether the images are played backwards; a recording is played as it was taken.
         unpaired_s: Times (M,) [s] of colour images that were recorded and left out, as no depth image belongs to them.
+        groundtruth_flaw: Why the ground truth that lies with the images cannot be used; empty where it can, or where
+            there is none.
     """
 
     name: str
@@ -59,6 +66,7 @@ class Recording:
     groundtruth_at_camera: Trajectory | None = None
     is_reversed: bool = False
     unpaired_s: F64 = np.zeros(0)
+    groundtruth_flaw: str = ""
 
     @property
     def numbers(self) -> I64:
@@ -122,6 +130,11 @@ class DatasetView:
     def unpaired_s(self) -> F64:
         """Times (M,) [s] of colour images in this stretch that were left out for want of depth."""
         return unpaired_s(self._inner)
+
+    @property
+    def groundtruth_flaw(self) -> str:
+        """Why the ground truth that lies with the images cannot be used; empty where it can, or there is none."""
+        return groundtruth_flaw(self._inner)
 
     @property
     def groundtruth(self) -> Trajectory | None:

@@ -112,7 +112,10 @@ def _measured(path: Path, matching: TimeMatching | None) -> tuple[Path, Trajecto
         raise StillroomError(f"{folder}: no {results.FINAL} in it; is it the folder of a run?")
     trajectory, truth = read_tum(folder / results.FINAL), results.Truth.read(folder)
     if truth is None:
-        raise TrajectoryError(f"{folder}: the sequence has no ground truth, so there is nothing to compare it with")
+        raise TrajectoryError(
+            f"{folder}: the sequence has no ground truth, or none that could be read, so there is nothing to "
+            "compare it with [see troubleshooting: groundtruth]"
+        )
     evaluation = evaluate(
         trajectory,
         truth.as_given,

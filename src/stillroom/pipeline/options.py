@@ -28,6 +28,7 @@ class RunOutcome:
         system: As it is after the last frame: trajectories, results of all frames, the map.
         clock: What the stages cost.
         evaluation: Its figures; None without ground truth, or with a trajectory that cannot be compared to it.
+        has_groundtruth: Whether the sequence came with a ground truth, be it one that cannot be used.
         n_given: Images that the run was given, those that cannot be read among them.
         n_unpaired: Images of the same stretch that were recorded, but left out for want of a depth image.
         interrupted: Whether it was stopped before the last image.
@@ -42,6 +43,7 @@ class RunOutcome:
     system: System
     clock: StageClock
     evaluation: Evaluation | None = None
+    has_groundtruth: bool = False
     n_given: int = 0
     n_unpaired: int = 0
     interrupted: bool = False

@@ -14,7 +14,7 @@ import numpy as np
 from stillroom.config import SlamConfig
 from stillroom.data.image import RgbdImage
 from stillroom.data.result import FrameSummary, TrackingState
-from stillroom.datasets.recording import unpaired_s
+from stillroom.datasets.recording import groundtruth_flaw, unpaired_s
 from stillroom.errors import ConfigError, FrameError
 from stillroom.pipeline import results
 from stillroom.pipeline.evaluating import evaluate_trajectory
@@ -250,6 +250,7 @@ def _concluded_in_any_case(
 
 def _conclude(outcome: RunOutcome, dataset: Dataset, with_plots: bool) -> None:
     trajectory, truth, folder = outcome.system.trajectory(), results.Truth.of(dataset), outcome.folder
+    outcome.has_groundtruth = truth is not None or groundtruth_flaw(dataset) != ""
     outcome.n_unpaired = _n_unpaired(dataset, outcome.n_given)
     outcome.evaluation = evaluate_trajectory(trajectory, truth, outcome.n_recorded)
     if folder is None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from stillroom.data.image import RgbdImage
 from stillroom.data.trajectory import Trajectory, read_tum
-from stillroom.datasets.camera_file import choose_camera
+from stillroom.datasets.camera_file import choose_camera, choose_range
 from stillroom.datasets.listing import Listing
 from stillroom.datasets.pairing import Pairing, pair_images
 from stillroom.datasets.recording import Recording
@@ -24,6 +24,7 @@ PNG_START, PNG_END = b"\x89PNG", b"IEND\xaeB`\x82"
 JPEG_START, JPEG_END = b"\xff\xd8", b"\xff\xd9"
 log = logging.getLogger(__name__)
 GROUNDTRUTH_NAME = "groundtruth.txt"
+NO_DEPTH = 65535
 PROBED_FRAMES = 5
 LONG_GAP_S = 1.0
 
@@ -59,6 +60,18 @@ def read_depth_units(path: Path) -> U16:
 def depth_in_metres(units: U16, depth_factor: float) -> F32:
     """Return depth (H, W) float32 [m] of sensor units with `depth_factor` units per metre."""
     return np.divide(units, np.float32(depth_factor), dtype=np.float32)
+
+
+def without_unknown(units: U16, depth_factor: float, range_m: float) -> U16:
+    """Return depth (H, W) uint16 in sensor units with 0 in place of what is no depth.
+
+    That is 65535, which recorders write for "no depth" where 0 is not their word for it, and what lies beyond the
+    sensor's range [m].
+    """
+    is_unknown = units == NO_DEPTH
+    if np.isfinite(range_m):
+        is_unknown |= units > range_m * depth_factor
+    return np.where(is_unknown, np.uint16(0), units) if is_unknown.any() else units
 
 
 def _decode(path: Path, flags: int) -> U8 | U16:
@@ -104,6 +117,7 @@ class ImageSequence(Recording):
         groundtruth: Poses as the data set gives them, where it has any.
         groundtruth_at_camera: The same moved to the camera, where they are those of another body that rides on it.
         unpaired_s: Times (M,) [s] of colour images that were left out because no depth image belongs to them.
+        range_m: Depth beyond this is none [m].
         groundtruth_flaw: Why `groundtruth.txt` cannot be used; empty where it can, or where there is none.
     """
 
@@ -117,6 +131,7 @@ class ImageSequence(Recording):
     groundtruth_at_camera: Trajectory | None = None
     unpaired_s: F64 = field(default_factory=lambda: np.zeros(0))
     groundtruth_flaw: str = ""
+    range_m: float = np.inf
 
     def load(self, index: int) -> RgbdImage:
         """Read image `index`.
@@ -131,6 +146,7 @@ class ImageSequence(Recording):
         expected = (self.camera.height, self.camera.width)
         if rgb.shape[:2] != expected:
             raise FrameError(f"{self.rgb_files[index]}: {_size(rgb)} pixels; the sequence has {_size_of(self.camera)}")
+        units = without_unknown(units, self.camera.depth_factor, self.range_m)
         depth_m = depth_in_metres(units, self.camera.depth_factor)
         return RgbdImage(float(self.timestamps_s[index]), rgb, depth_m, index, self.rgb_files[index].stem)
 
@@ -174,6 +190,7 @@ def build_sequence(
         groundtruth=groundtruth,
         unpaired_s=np.delete(rgb.timestamps_s, of_rgb),
         groundtruth_flaw=flaw,
+        range_m=choose_range(folder, camera),
     )
     _probe(folder, sequence)
     _remark(sequence)
@@ -201,7 +218,7 @@ def _probe(folder: Path, sequence: ImageSequence) -> None:
     errors: list[FrameError] = []
     for rgb_file, depth_file in list(zip(sequence.rgb_files, sequence.depth_files, strict=True))[:PROBED_FRAMES]:
         try:
-            rgb, _ = _read_pair(rgb_file, depth_file)
+            rgb, units = _read_pair(rgb_file, depth_file)
         except FrameError as error:
             errors.append(error)
             continue
@@ -209,6 +226,13 @@ def _probe(folder: Path, sequence: ImageSequence) -> None:
             raise CalibrationError(
                 f"{rgb_file}: {_size(rgb)} pixels, but the camera ({sequence.camera_source}) has "
                 f"{_size_of(sequence.camera)}; give the calibration of this sequence"
+            )
+        if (units == NO_DEPTH).any():
+            log.warning(
+                "%s: depth of %d, which no sensor measures, is read as unknown here and in all images "
+                "[see troubleshooting: depth-range]",
+                depth_file,
+                NO_DEPTH,
             )
         return
     raise DatasetError(f"{folder}: none of the first {len(errors)} frames can be used; {errors[0]}")

@@ -66,14 +66,6 @@ FATAL: dict[str, tuple[Callable[[Path], object], list[str]]] = {
         lambda room: [every(room / name, half_as_large) for name in ("rgb", "depth")],
         ["320×240 pixels", "640×480", "calibration"],
     ),
-    "a NaN in the ground truth": (
-        lambda room: edit(room / "groundtruth.txt", swap_words(3, 7, "nan")),
-        ["groundtruth.txt:8", "not finite"],
-    ),
-    "a quaternion that is none": (
-        lambda room: edit(room / "groundtruth.txt", swap_words(7, 7, "3.0")),
-        ["groundtruth.txt:8", "quaternion", "must be 1"],
-    ),
     "a time that repeats": (lambda room: edit(room / "rgb.txt", repeat_a_time), ["rgb.txt:7", "repeats"]),
     "a time that goes back": (
         lambda room: edit(room / "rgb.txt", swap_words(0, 6, "0.5e-6")),
@@ -105,6 +97,31 @@ def test_a_sequence_that_cannot_be_used_is_one_line(case: str, recorded: Path, s
     assert list(Path.cwd().iterdir()) == []
 
 
+FLAWS: dict[str, tuple[Callable[[list[str]], list[str]], list[str]]] = {
+    "a NaN in the ground truth": (swap_words(3, 7, "nan"), ["groundtruth.txt:8", "not finite"]),
+    "a quaternion that is none": (swap_words(7, 7, "3.0"), ["groundtruth.txt:8", "quaternion", "must be 1"]),
+}
+
+
+@pytest.mark.parametrize("case", list(FLAWS))
+def test_a_flawed_ground_truth_costs_the_figures_only(case: str, recorded: Path, stillroom: Callable) -> None:
+    damage, words = FLAWS[case]
+    edit(recorded / "groundtruth.txt", damage)
+    said = stillroom("run", recorded, "--method", "orb-slam2", "--frames", ":3", "--out", "run", "--pictures", "0")
+    assert said.code == 0
+    assert len(said.warnings) == 1, said.err
+    for word in [*words, "no figures", "[see troubleshooting: groundtruth]"]:
+        assert word in said.warnings[0]
+    assert "3 of 3 frames tracked (100.0 %); its ground truth gave no figures" in said.out
+    assert len(read_tum(Path("run") / "trajectory.tum")) == 3
+    mine = Path("run") / "trajectory.tum"
+    for judge in (("run",), ("--estimate", mine, "--sequence", recorded)):
+        judged = stillroom("evaluate", *judge)
+        assert judged.code == 1
+        assert "[see troubleshooting: groundtruth]" in judged.errors[0]
+    assert all(word in judged.errors[0] for word in words)
+
+
 REQUESTS: dict[str, tuple[list[str], list[str]]] = {
     "a missing folder": (["nowhere/room"], ["nowhere/room: no such folder"]),
     "an unknown method": (["{room}", "--method", "orbslam"], ["'orbslam'", "did you mean 'orb-slam2'"]),
@@ -120,7 +137,13 @@ REQUESTS: dict[str, tuple[list[str], list[str]]] = {
     "nothing left": (["{room}", "--drop", ":"], ["leaves no image"]),
     "no such range to silence": (["{room}", "--detector-off", "50:60"], ["detector-off 50:60"]),
     "an unknown camera": (["{room}", "--camera", "kinect"], ["no camera is called 'kinect'"]),
-    "a frame rate where there are times": (["{room}", "--fps", "30"], ["rgb.txt tells the times"]),
+    "a frame rate that is none": (["{room}", "--fps", "0"], ["fps is 0.0"]),
+    "a unit of time that is none": (["{room}", "--time-unit", "min"], ["time-unit is 'min'", "s, ms, us, ns"]),
+    "a way to pair that is none": (["{room}", "--pair-by", "size"], ["pair-by is 'size'", "time, name, order"]),
+    "depth that never comes": (
+        ["{room}", "--max-gap", "0.001", "--depth-offset", "-0.01"],
+        ["within 0.001 s", "0.01 s earlier", "[see troubleshooting: depth-offset]"],
+    ),
     "a negative seed": (["{room}", "--seed", "-3"], ["seed is -3"]),
     "masks that are not there": (
         ["{room}", "--set", "semantics.kind=mask-files", "--set", "semantics.folder=masks"],

@@ -227,6 +227,23 @@ def test_evaluate_anyone_s_trajectory(done: Path, stillroom: Callable) -> None:
     assert [path.name.split("_", 2)[2] for path in Path("results").iterdir()] == ["evaluation_trajectory_online"]
 
 
+def test_evaluate_by_another_clock(done: Path, stillroom: Callable) -> None:
+    lines = (done / "trajectory.tum").read_text(encoding="utf-8").splitlines()
+    late = [f"{float(line.split()[0]) + 0.8:.6f} {line.split(maxsplit=1)[1]}" for line in lines[1:]]
+    Path("late.tum").write_text("\n".join(late) + "\n", encoding="utf-8")
+    judge = ("evaluate", "--estimate", "late.tum", "--groundtruth", done / "groundtruth.tum")
+    said = stillroom(*judge, "--offset", "-0.8", "--interpolate", "--max-gap", "0.01", "--out", "judged")
+    assert said.code == 0, said.err
+    assert "-0.8000 s were added to the estimate's times" in said.out
+    assert "the ground truth was interpolated" in said.out
+    assert (Path("judged") / "error.png").is_file()
+    assert stillroom("evaluate", done, "--max-gap", "0.01", "--json").code == 0
+    for offset, words in (("soon", "a number of seconds, or 'estimate'"), ("1e6", "troubleshooting: groundtruth-gaps")):
+        said = stillroom(*judge, "--offset", offset)
+        assert said.code == 1
+        assert words in said.errors[0]
+
+
 def test_a_baseline_of_the_same_file_name(done: Path, stillroom: Callable) -> None:
     truth, mine = read_tum(done / "groundtruth.tum"), Path("mine")
     mine.mkdir()

@@ -78,14 +78,6 @@ def test_equal_names_pair_even_where_depth_has_more(plain: Path) -> None:
     assert depths(open_folder(plain, fps=30.0)) == pytest.approx([1.5, 1.6, 1.8, 1.9, 2.0])
 
 
-def test_names_that_do_not_agree_are_said(plain: Path) -> None:
-    rename(plain, "{k}", ("rgb",))
-    rename(plain, "d{k}", ("depth",))
-    (plain / "depth" / "d3.png").unlink()
-    with pytest.raises(DatasetError, match="6 colour and 5 depth images whose names do not agree"):
-        open_folder(plain, fps=30.0)
-
-
 def test_two_names_for_one_time_are_said(plain: Path) -> None:
     first = sorted((plain / "rgb").iterdir())[0]
     (plain / "rgb" / "1305031229.50.png").write_bytes(first.read_bytes())
@@ -124,13 +116,6 @@ def test_an_impossible_rate_is_said_before_what_is_wrong_with_the_folder(tiny: P
             open_dataset(str(folder), fps=-1.0)
     with pytest.raises(DatasetError, match=r"empty: no rgb\.txt and no folder rgb/ in it"):
         open_dataset(str(tmp_path / "empty"))
-    with pytest.raises(ConfigError, match=r"rgb\.txt tells the times; leave fps out"):
-        open_dataset(str(named_like_bonn), fps=30.0)
-
-
-def test_a_rate_beside_lists_is_refused(tiny: Path) -> None:
-    with pytest.raises(ConfigError, match=r"rgb\.txt tells the times; leave fps out"):
-        open_dataset(str(tiny), fps=30.0)
 
 
 def test_a_bare_name_is_sought_where_data_lies(tiny: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,6 +1,7 @@
 """TUM's layout: what it gives, and each way in which it can be bad ends in one line."""
 
 import logging
+import re
 from pathlib import Path
 
 import cv2
@@ -10,9 +11,11 @@ import pytest
 from stillroom.data.trajectory import read_tum
 from stillroom.datasets.camera_file import write_camera
 from stillroom.datasets.open import open_dataset
+from stillroom.datasets.selection import select
 from stillroom.datasets.tum import open_tum, read_list
 from stillroom.errors import CalibrationError, DatasetError, FrameError, TrajectoryError
 from stillroom.geometry.camera import Camera
+from stillroom.session.front_door import evaluate
 
 
 def edit(path: Path, old: str, new: str) -> None:
@@ -43,7 +46,7 @@ def test_opens_a_folder(tiny: Path) -> None:
     sequence = open_tum(tiny)
     assert len(sequence) == 6
     assert sequence.name == "tiny"
-    assert sequence.unpaired == 0
+    assert len(sequence.unpaired_s) == 0
     assert sequence.groundtruth is not None
     assert len(sequence.groundtruth) == 6
     assert sequence.timestamps_s[0] == pytest.approx(1305031229.5, abs=1e-6)
@@ -121,7 +124,7 @@ def test_a_frame_without_depth_is_left_out_and_counted(tiny: Path, caplog: pytes
     with caplog.at_level(logging.INFO, logger="stillroom"):
         sequence = open_tum(tiny)
     assert len(sequence) == 5
-    assert sequence.unpaired == 1
+    assert sequence.unpaired_s == pytest.approx([1305031229.5 + 2 / 30], abs=1e-5)
     assert "1 of 6 colour images have no depth image" in caplog.text
     assert [sequence.load(i).depth_m[0, 0] for i in range(5)] == pytest.approx([1.5, 1.6, 1.8, 1.9, 2.0])
 
@@ -196,10 +199,20 @@ def test_a_camera_file_with_an_unknown_key_is_said(tiny: Path) -> None:
         ("1.0000000", "0.5000000", r"groundtruth\.txt:2: the quaternion has length 0\.500"),
     ],
 )
-def test_bad_ground_truth_is_said_at_opening(old: str, new: str, said: str, tiny: Path) -> None:
+def test_bad_ground_truth_is_said_at_opening_and_left_out(
+    old: str, new: str, said: str, tiny: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    (tiny / "right.tum").write_bytes((tiny / "groundtruth.txt").read_bytes())
     edit(tiny / "groundtruth.txt", old, new)
-    with pytest.raises(TrajectoryError, match=said):
-        open_tum(tiny)
+    sequence = open_tum(tiny)
+    assert len(sequence) == 6
+    assert sequence.groundtruth is None
+    warnings = [record.getMessage() for record in caplog.records if record.levelno >= logging.WARNING]
+    assert len(warnings) == 1
+    assert re.search(said, warnings[0])
+    for shown in (sequence, select(sequence, ":3"), select(sequence, reverse=True)):
+        with pytest.raises(TrajectoryError, match=said + r".*\[see troubleshooting: groundtruth\]"):
+            evaluate(read_tum(tiny / "right.tum"), shown)
 
 
 def test_a_gap_of_seconds_is_one_warning(tiny: Path, caplog: pytest.LogCaptureFixture) -> None:

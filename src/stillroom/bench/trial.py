@@ -62,7 +62,7 @@ class Trial:
 
     Attributes:
         seed: Seed of its random choices.
-        n_given, n_tracked: Frames given, and frames with a pose.
+        n_given, n_tracked: Frames recorded, those without a depth image too, and frames with a pose.
         evaluation: Figures against the ground truth; None where there is none, or nothing to compare.
         tracked: The tracked frames; None where there was none.
         boxed: Those of them with something potentially dynamic; None where there was none.
@@ -153,7 +153,7 @@ def attempt(
     boxed = [result for result in tracked if result.index in noting.occupied]
     return Trial(
         seed=seed,
-        n_given=outcome.n_given,
+        n_given=outcome.n_recorded,
         n_tracked=outcome.n_tracked,
         evaluation=outcome.evaluation,
         tracked=FrameAverages.over(tracked),

@@ -5,12 +5,23 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from stillroom.errors import ConfigError
+from stillroom.data.association import TUM_MAX_GAP_S
+from stillroom.errors import ConfigError, TrajectoryError
 
 if TYPE_CHECKING:
+    from stillroom.evaluation.time_matching import TimeMatching
     from stillroom.pipeline.results import Truth
 
 DEFAULT_FOLDER = Path("results/latest")
+Out = Annotated[Path | None, typer.Option(metavar="DIR", help="Where figures and pictures of an estimate go.")]
+MaxGap = Annotated[float, typer.Option(metavar="S", help="Poses further apart in time than this are not compared.")]
+Offset = Annotated[
+    str,
+    typer.Option(metavar="S|estimate", help="Add this to the estimate's times; 'estimate' finds it from the motion."),
+]
+Interpolate = Annotated[
+    bool, typer.Option("--interpolate", help="Interpolate the ground truth, which is slow, at the estimate's times.")
+]
 
 
 def evaluate(
@@ -29,9 +40,10 @@ def evaluate(
     baseline: Annotated[
         Path | None, typer.Option(metavar="PATH", help="Another folder, or file, to report the improvement over.")
     ] = None,
-    out: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Where figures and pictures of an estimate go.")
-    ] = None,
+    out: Out = None,
+    max_gap: MaxGap = TUM_MAX_GAP_S,
+    offset: Offset = "0",
+    interpolate: Interpolate = False,
     json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON; write nothing.")] = False,
 ) -> None:
     """Evaluate a trajectory: ATE and RPE.
@@ -49,9 +61,10 @@ def evaluate(
     from stillroom.pipeline.results import chosen_folder, new_folder
 
     show_log()
+    matching = _matching(max_gap, offset, interpolate)
     if estimate is None:
         _refuse(("--groundtruth", groundtruth), ("--sequence", sequence), ("--out", out))
-        judged = evaluate_folder(folder or DEFAULT_FOLDER, baseline, write=not json)
+        judged = evaluate_folder(folder or DEFAULT_FOLDER, baseline, write=not json, matching=matching)
     else:
         if folder is not None:
             raise ConfigError(f"both {folder} and --estimate {estimate} are given; leave one out")
@@ -61,7 +74,7 @@ def evaluate(
             place = (
                 chosen_folder(out) if out else new_folder(Path("results"), "evaluation", estimate.stem, latest=False)
             )
-        judged = evaluate_files(estimate, truth, place, baseline)
+        judged = evaluate_files(estimate, truth, place, baseline, matching)
     if json:
         typer.echo(to_json(judged.evaluation), nl=False)
         return
@@ -70,6 +83,17 @@ def evaluate(
     print_lines([judged.name])
     print_evaluation(judged.evaluation)
     print_lines([f"figures and {len(judged.pictures)} pictures: {_shown(judged.folder)}"])
+
+
+def _matching(max_gap_s: float, offset: str, interpolate: bool) -> "TimeMatching":
+    from stillroom.evaluation.time_matching import ESTIMATE, TimeMatching
+
+    if offset == ESTIMATE:
+        return TimeMatching(max_gap_s, None, interpolate)
+    try:
+        return TimeMatching(max_gap_s, float(offset), interpolate)
+    except ValueError:
+        raise ConfigError(f"offset is '{offset}'; it must be a number of seconds, or '{ESTIMATE}'") from None
 
 
 def _shown(folder: Path | None) -> str:
@@ -87,6 +111,7 @@ def _refuse(*options: tuple[str, object]) -> None:
 
 def _truth(groundtruth: Path | None, sequence: str | None) -> "Truth":
     from stillroom.data.trajectory import read_tum
+    from stillroom.datasets.recording import groundtruth_flaw
     from stillroom.pipeline import Source
     from stillroom.pipeline.results import Truth
 
@@ -96,6 +121,9 @@ def _truth(groundtruth: Path | None, sequence: str | None) -> "Truth":
         return Truth(read_tum(groundtruth))
     dataset = Source(str(sequence)).open()
     truth = Truth.of(dataset)
+    flaw = groundtruth_flaw(dataset)
+    if flaw:
+        raise TrajectoryError(f"{flaw} [see troubleshooting: groundtruth]")
     if truth is None:
         raise ConfigError(f"--sequence {sequence}: it has no ground truth; give a file with --groundtruth")
     return truth

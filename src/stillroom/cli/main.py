@@ -5,6 +5,7 @@ Only the module of the command that is asked for is imported: `stillroom --help`
 
 import importlib
 import inspect
+import io
 import os
 import re
 import sys
@@ -157,6 +158,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     Raises:
         SystemExit: Always: 0, 1 after an error, 2 after wrong usage, 130 after Ctrl-C.
     """
+    _print_any_character()
     for name in ONE_THREAD:
         os.environ.setdefault(name, "1")
     given = list(sys.argv[1:] if arguments is None else arguments)
@@ -172,6 +174,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
         sys.exit(1)
     except KeyboardInterrupt:
         sys.exit(INTERRUPTED)
+
+
+def _print_any_character() -> None:
+    """Let no character end a command: what a terminal's code page lacks is printed as a question mark."""
+    for stream, errors in ((sys.stdout, "replace"), (sys.stderr, "backslashreplace")):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors=errors)
 
 
 def _print_version(asked: bool) -> None:

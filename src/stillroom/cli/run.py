@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from stillroom.cli.arguments import ConfigFile, Method, Seed, Settings
+from stillroom.data.association import TUM_MAX_GAP_S
 from stillroom.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -24,6 +25,29 @@ Map = Annotated[
 Continue = Annotated[bool, typer.Option("--continue", help="Extend the map of --map; relocalize in it first.")]
 Localize = Annotated[bool, typer.Option("--localize", help="Localize in the map of --map, which stays unchanged.")]
 
+Drop = Annotated[list[str] | None, typer.Option(metavar="A:B", help="Drop these frames from the sequence; repeatable.")]
+Blackout = Annotated[
+    list[str] | None, typer.Option(metavar="A:B", help="Turn these frames black, without depth; repeatable.")
+]
+Fps = Annotated[
+    float | None, typer.Option(metavar="N", help="Frame rate, where names or lists of images tell no times.")
+]
+TimeUnit = Annotated[
+    str | None,
+    typer.Option(
+        metavar="UNIT", help="Unit of the times in lists and names: s, ms, us, ns. \\[default: told from them]"
+    ),
+]
+PairBy = Annotated[
+    str | None,
+    typer.Option(metavar="WAY", help="Pair colour and depth by time, name or order. \\[default: time, else name]"),
+]
+MaxGap = Annotated[
+    float, typer.Option(metavar="S", help="Colour and depth further apart in time than this are not paired.")
+]
+DepthOffset = Annotated[
+    float, typer.Option(metavar="S", help="Add this to depth's times, such as -0.03 where depth is stamped 30 ms late.")
+]
 DetectorOff = Annotated[
     list[str] | None, typer.Option(metavar="A:B", help="Disable the detector in these frames; repeatable.")
 ]
@@ -39,12 +63,8 @@ def run(
     ],
     method: Method = None,
     frames: Annotated[str | None, typer.Option(metavar="A:B", help="Use these frames only, such as 200:560.")] = None,
-    drop: Annotated[
-        list[str] | None, typer.Option(metavar="A:B", help="Drop these frames from the sequence; repeatable.")
-    ] = None,
-    blackout: Annotated[
-        list[str] | None, typer.Option(metavar="A:B", help="Turn these frames black, without depth; repeatable.")
-    ] = None,
+    drop: Drop = None,
+    blackout: Blackout = None,
     detector_off: DetectorOff = None,
     reverse: Annotated[bool, typer.Option("--reverse", help="Play the remaining frames backwards.")] = False,
     map_: Map = None,
@@ -54,9 +74,11 @@ def run(
     camera: Annotated[
         str | None, typer.Option(metavar="NAME|FILE", help="The calibration, where it is not the sequence's own.")
     ] = None,
-    fps: Annotated[
-        float | None, typer.Option(metavar="N", help="Frame rate of a plain folder whose file names have no times.")
-    ] = None,
+    fps: Fps = None,
+    time_unit: TimeUnit = None,
+    pair_by: PairBy = None,
+    max_gap: MaxGap = TUM_MAX_GAP_S,
+    depth_offset: DepthOffset = 0.0,
     out: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Write into this new folder. \\[default: a new one in results/]")
     ] = None,
@@ -77,11 +99,13 @@ def run(
         stillroom run rgbd_bonn_crowd --frames :200 --map room.stillmap
         stillroom run rgbd_bonn_crowd --frames 200: --map room.stillmap --localize
     """
+    from stillroom.datasets.pairing import Pairing
     from stillroom.pipeline import RunOptions, Source
     from stillroom.presets.registry import configure
 
     chosen = configure(method, config, settings or (), seed)
-    source = Source(sequence, camera, fps, frames, tuple(drop or ()), tuple(blackout or ()), reverse)
+    pairing = Pairing(time_unit, pair_by, max_gap, depth_offset)
+    source = Source(sequence, camera, fps, frames, tuple(drop or ()), tuple(blackout or ()), reverse, pairing)
     map_file = _map_file(map_, continue_, localize)
     options = RunOptions(
         folder=out,
@@ -142,10 +166,9 @@ def _report(outcome: "RunOutcome") -> None:
     if outcome.evaluation is not None:
         print_evaluation(outcome.evaluation)
     else:
-        share = percent(outcome.n_tracked / outcome.n_given if outcome.n_given else None)
-        print_lines(
-            [f"{outcome.n_tracked} of {outcome.n_given} frames tracked ({share}); no ground truth to compare with"]
-        )
+        share = percent(outcome.n_tracked / outcome.n_recorded if outcome.n_recorded else None)
+        why = "its ground truth gave no figures" if outcome.has_groundtruth else "no ground truth to compare with"
+        print_lines([f"{outcome.n_tracked} of {outcome.n_recorded} frames tracked ({share}); {why}"])
     print_lines(_sentences(outcome))
 
 

@@ -19,6 +19,7 @@ from typing import Any, TypeVar
 
 from stillroom.bounds import check
 from stillroom.config.kinds import KIND, Kinds
+from stillroom.data.text import read_text
 from stillroom.errors import ConfigError
 
 WORDS: dict[object, str] = {
@@ -196,10 +197,10 @@ def read_toml(path: Path) -> dict[str, Any]:
         ConfigError: The file is missing or no TOML.
     """
     try:
-        values = tomllib.loads(path.read_text(encoding="utf-8"))
+        values = tomllib.loads(read_text(path))
     except (FileNotFoundError, IsADirectoryError):
         raise ConfigError(f"{path}: no such config file") from None
-    except (OSError, UnicodeDecodeError) as error:
+    except (OSError, UnicodeError) as error:
         raise ConfigError(f"{path}: cannot be read as text ({error})") from error
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"{path}: not a TOML file: {error}") from error

@@ -1,11 +1,13 @@
 """Poses over time, and the TUM text format."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from stillroom.data.replacing import replacing
+from stillroom.data.text import read_text
 from stillroom.errors import TrajectoryError
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64
@@ -74,15 +76,15 @@ def read_tum(path: Path) -> Trajectory:
 
 def _read_rows(path: Path) -> list[tuple[int, list[float]]]:
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_text(path)
     except FileNotFoundError:
         raise TrajectoryError(f"{path}: no such file; expected a trajectory in the TUM format") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise TrajectoryError(f"{path}: cannot be read as text ({error})") from error
+    except (OSError, UnicodeError) as error:
+        raise TrajectoryError(f"{path}: cannot be read as text ({error}) [see troubleshooting: text-files]") from error
     rows: list[tuple[int, list[float]]] = []
     for line_number, line in enumerate(text.splitlines(), start=1):
         words = line.replace(",", " ").split()
-        if not words or words[0].startswith("#"):
+        if not words or words[0].startswith("#") or (not rows and is_header(words)):
             continue
         try:
             values = [float(word) for word in words]
@@ -92,3 +94,16 @@ def _read_rows(path: Path) -> list[tuple[int, list[float]]]:
             raise TrajectoryError(f"{path}:{line_number}: {len(values)} numbers; a pose has 8")
         rows.append((line_number, values))
     return rows
+
+
+def is_header(words: Sequence[str]) -> bool:
+    """Return whether the words of a line name columns: none of them is a number, nor the path of a file."""
+    return not any(_is_number(word) or "." in word for word in words)
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True

@@ -13,7 +13,7 @@ import tempfile
 import zipfile
 import zlib
 from collections.abc import Iterator
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import IO
 
 from stillroom.data.locations import cache_folder
@@ -27,6 +27,7 @@ class BrokenArchiveError(DatasetError):
 log = logging.getLogger(__name__)
 
 SUFFIXES = (".tgz", ".tar.gz", ".tar", ".tar.bz2", ".tar.xz", ".zip")
+MACOS_FOLDER, MACOS_PREFIX = "__MACOSX", "._"
 UNREADABLE = (
     tarfile.TarError,
     zipfile.BadZipFile,
@@ -86,6 +87,8 @@ def unpack(archive: Path, folder: Path) -> None:
         raise DatasetError(f"{folder.parent}: cannot unpack into it ({error.strerror})") from error
     try:
         for name, content in _members(archive):
+            if _is_of_macos(name):
+                continue
             target = _inside(archive, half_done, name)
             target.parent.mkdir(parents=True, exist_ok=True)
             with target.open("wb") as file:
@@ -107,9 +110,11 @@ def _members(archive: Path) -> Iterator[tuple[str, IO[bytes]]]:
     if archive.name.lower().endswith(".zip"):
         with zipfile.ZipFile(archive) as zipped:
             for info in zipped.infolist():
-                if not info.is_dir():
+                # Some Windows programs write backslashes, against the format; no other separator ends a folder's name.
+                name = info.filename.replace("\\", "/")
+                if not name.endswith("/"):
                     with zipped.open(info) as content:
-                        yield info.filename, content
+                        yield name, content
         return
     with tarfile.open(archive, mode="r:*") as tar:
         for member in tar:
@@ -120,6 +125,12 @@ def _members(archive: Path) -> Iterator[tuple[str, IO[bytes]]]:
         # The tar ends before its compressed stream does, and the stream's checksum stands at its very end.
         while tar.fileobj is not None and tar.fileobj.read(1 << 20):
             pass
+
+
+def _is_of_macos(name: str) -> bool:
+    """Return whether a member is what macOS puts beside files into an archive, under names that look like theirs."""
+    parts = PurePosixPath(name).parts
+    return MACOS_FOLDER in parts or (bool(parts) and parts[-1].startswith(MACOS_PREFIX))
 
 
 def _inside(archive: Path, folder: Path, name: str) -> Path:

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from stillroom.data.trajectory import Trajectory
-from stillroom.datasets.folder import open_folder
 from stillroom.datasets.image_sequence import ImageSequence
 from stillroom.datasets.kind import DatasetKind, SequenceRequest
+from stillroom.datasets.pairing import Pairing
 from stillroom.datasets.tum import RGB_LIST_NAME, open_tum
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64
@@ -49,15 +49,23 @@ def marker_to_camera(groundtruth: Trajectory) -> Trajectory:
     return Trajectory(groundtruth.timestamps_s, T_world_cam)
 
 
-def open_bonn(folder: Path, camera: str | None = None, name: str | None = None) -> ImageSequence:
+def open_bonn(
+    folder: Path,
+    camera: str | None = None,
+    name: str | None = None,
+    fps: float | None = None,
+    pairing: Pairing | None = None,
+) -> ImageSequence:
     """Open a Bonn sequence; its ground truth is given as published, that is of the marker, and moved to the camera.
+
+    Arguments are those of `open_tum`.
 
     Raises:
         DatasetError: The folder or a list is missing, empty or malformed, or no frame can be used.
         CalibrationError: The calibration asked for is unknown or does not fit the images.
-        TrajectoryError: The ground truth cannot be read.
+        ConfigError: `fps` is not a positive number.
     """
-    sequence = open_tum(folder, camera, name)
+    sequence = open_tum(folder, camera, name, fps, pairing)
     if sequence.groundtruth is None:
         return sequence
     return replace(sequence, groundtruth_at_camera=marker_to_camera(sequence.groundtruth))
@@ -70,9 +78,13 @@ def _is_bonn(asked: SequenceRequest) -> bool:
 
 def _open(asked: SequenceRequest, camera: str | None, fps: float | None) -> Dataset:
     assert asked.folder is not None, "recognised by its folder"
-    if fps is not None:  # refused as for any folder with lists
-        return open_folder(asked.folder, camera, asked.name, fps)
-    return open_bonn(asked.folder, camera, asked.name)
+    return open_bonn(asked.folder, camera, asked.name, fps, asked.pairing)
 
 
-KIND = DatasetKind("bonn", f"a sequence of the Bonn RGB-D Dynamic data set: a folder {NAME_PREFIX}*", _is_bonn, _open)
+KIND = DatasetKind(
+    "bonn",
+    f"a sequence of the Bonn RGB-D Dynamic data set: a folder {NAME_PREFIX}*",
+    _is_bonn,
+    _open,
+    takes_pairing=True,
+)

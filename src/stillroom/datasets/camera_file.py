@@ -11,18 +11,21 @@
     distortion = [0.0, 0.0, 0.0, 0.0, 0.0]   # k1 k2 p1 p2 k3, OpenCV's order; may be left out
     depth_factor = 5000.0                    # units of the depth image per metre; 1000 for millimetres
     baseline_m = 0.075                       # or bf = 40.0 [px·m]; may be left out
+    max_depth_m = 6.0                        # depth beyond the sensor's range is unknown; may be left out
 """
 
+import math
 import tomllib
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
+from stillroom.data.text import read_text
 from stillroom.errors import CalibrationError
 from stillroom.geometry.camera import Camera
 
 REQUIRED = ("width", "height", "fx", "fy", "cx", "cy", "depth_factor")
-OPTIONAL = ("distortion", "bf", "baseline_m")
+OPTIONAL = ("distortion", "bf", "baseline_m", "max_depth_m")
 DEFAULT_BASELINE_M = 0.075
 """Of a Kinect's projector and camera; what `bf` = 40 comes to on TUM's cameras."""
 
@@ -47,11 +50,30 @@ def read_camera(path: Path) -> Camera:
     width, height = _integer(path, values, "width"), _integer(path, values, "height")
     fx, fy, cx, cy = (_number(path, values, key) for key in ("fx", "fy", "cx", "cy"))
     bf = _number(path, values, "bf") if "bf" in values else fx * _baseline_m(path, values)
+    read_range(path)
     depth_factor, distortion = _number(path, values, "depth_factor"), _distortion(path, values)
     try:
         return Camera(width, height, fx, fy, cx, cy, distortion, depth_factor, bf)
     except CalibrationError as error:
         raise CalibrationError(f"{path}: {error}") from error
+
+
+def read_range(path: Path) -> float:
+    """Return the depth [m] beyond which a camera file says that its sensor knows nothing; infinite where it does not.
+
+    Raises:
+        CalibrationError: The file is missing or is no TOML, or the value is no positive number.
+    """
+    values = _read_toml(path)
+    if "max_depth_m" not in values:
+        return math.inf
+    max_depth_m = _number(path, values, "max_depth_m")
+    if not (math.isfinite(max_depth_m) and max_depth_m > 0):
+        raise CalibrationError(
+            f"{path}: 'max_depth_m' is {max_depth_m}; it must be a positive number of metres, or left out "
+            "[see troubleshooting: depth-range]"
+        )
+    return max_depth_m
 
 
 def write_camera(camera: Camera, path: Path) -> None:
@@ -73,11 +95,11 @@ def write_camera(camera: Camera, path: Path) -> None:
 
 def _read_toml(path: Path) -> dict[str, Any]:
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(read_text(path))
     except (FileNotFoundError, IsADirectoryError):
         raise CalibrationError(f"{path}: no such camera file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise CalibrationError(f"{path}: cannot be read as text ({error})") from error
+    except (OSError, UnicodeError) as error:
+        raise CalibrationError(f"{path}: cannot be read as text ({error}) [see troubleshooting: text-files]") from error
     except tomllib.TOMLDecodeError as error:
         raise CalibrationError(f"{path}: not a TOML file: {error}") from error
 
@@ -201,16 +223,32 @@ def choose_camera(folder: Path, sequence_name: str, option: str | None) -> tuple
     )
 
 
+def choose_range(folder: Path, option: str | None) -> float:
+    """Return the depth [m] beyond which the calibration in force (see `choose_camera`) says that nothing is known.
+
+    Raises:
+        CalibrationError: The camera file in force cannot be read.
+    """
+    path = _file_of(option) if option is not None else folder / CAMERA_FILE_NAME
+    return read_range(path) if path is not None and path.is_file() else math.inf
+
+
 def camera_of(option: str) -> tuple[Camera, str]:
     """Return the calibration that a name or the path of a camera file stands for, and say in one line which it is.
 
     Raises:
         CalibrationError: There is no such name or file, or the file makes no camera.
     """
-    path = Path(option).expanduser()
-    # A name wins over a file of the same name; `./bonn` reaches the file.
-    is_name = option.lower() in NAMED_CAMERAS or option.lower() in ALIASES
-    if not is_name and (path.is_file() or path.suffix == ".toml" or len(path.parts) > 1):
+    path = _file_of(option)
+    if path is not None:
         return read_camera(path), f"the camera file given: {path}"
     name, camera = named_camera(option)
     return camera, f"'{name}', as given"
+
+
+def _file_of(option: str) -> Path | None:
+    """Return the camera file that is asked for; None where the name of a camera is."""
+    path = Path(option).expanduser()
+    # A name wins over a file of the same name; `./bonn` reaches the file.
+    is_name = option.lower() in NAMED_CAMERAS or option.lower() in ALIASES
+    return path if not is_name and (path.is_file() or path.suffix == ".toml" or len(path.parts) > 1) else None

@@ -3,28 +3,37 @@
 Without lists, times come from the file names or from a frame rate:
 
 - names that are numbers with a decimal point are seconds (`1305031229.528748.png`);
-- names of 19 digits are nanoseconds, as ROS writes them (`1403636579763555584.png`);
-- other names (`000017.png`, `frame17.png`) tell the order only, and need a frame rate.
+- names of 19 digits are nanoseconds, as ROS writes them (`1403636579763555584.png`), and of 16 and 13 digits micro- and
+  milliseconds;
+- other names (`000017.png`, `frame17.png`) tell the order only, and need a frame rate. Equal numbers are one moment.
 """
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from stillroom.datasets.image_sequence import ImageSequence, Listing, build_sequence, increasing
+from stillroom.datasets.image_sequence import ImageSequence, build_sequence
 from stillroom.datasets.kind import DatasetKind, SequenceRequest
-from stillroom.datasets.tum import RGB_LIST_NAME, open_tum
-from stillroom.errors import ConfigError, DatasetError
+from stillroom.datasets.listing import HIDDEN, IMAGE_SUFFIXES, Listing, increasing
+from stillroom.datasets.pairing import BY_NAME, Pairing, last_number, pair_images
+from stillroom.datasets.time_units import EPOCH_DIGITS, LARGEST_COUNTED_STEP, in_seconds
+from stillroom.datasets.tum import RGB_LIST_NAME, open_tum, require_rate
+from stillroom.errors import DatasetError
+from stillroom.geometry.arrays import F64
 from stillroom.protocols import Dataset
 
-IMAGE_SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm"}
 SECONDS = re.compile(r"\d+\.\d+")
-NANOSECONDS = re.compile(r"\d{19}")
+NUMBER = re.compile(r"\d+(\.\d+)?")
 
 
 def open_folder(
-    folder: Path, camera: str | None = None, name: str | None = None, fps: float | None = None
+    folder: Path,
+    camera: str | None = None,
+    name: str | None = None,
+    fps: float | None = None,
+    pairing: Pairing | None = None,
 ) -> ImageSequence:
     """Open a folder with `rgb/` and `depth/`.
 
@@ -32,39 +41,43 @@ def open_folder(
         folder: The sequence.
         camera: The calibration asked for, a name or a file; the sequence's own where not given.
         name: Name of the sequence; the folder's where not given.
-        fps: Frames per second [1/s] of images whose names do not tell the time; image k is then at k / fps.
+        fps: Frames per second [1/s] of images whose names do not tell the time, or that lists give wrong times. Names
+            that count tell which images were lost; image n is then at (n − first) / fps.
+        pairing: How times are read and images are paired.
 
     Raises:
-        DatasetError: The folder is missing or empty, the names tell no times and `fps` is not given, or no frame
-            can be used.
+        DatasetError: The folder is missing or empty, the names tell no times and `fps` is not given, they do not tell
+            which images belong together, or no frame can be used.
         CalibrationError: No calibration is known, or it does not fit the images.
-        ConfigError: `fps` is not a positive number, or there are lists, which tell the times already.
-        TrajectoryError: The ground truth cannot be read.
+        ConfigError: `fps` is not a positive number.
     """
     if not folder.is_dir():
         raise DatasetError(f"{folder}: no such folder")
-    if fps is not None and not (np.isfinite(fps) and fps > 0):
-        raise ConfigError(f"fps is {fps}; it must be a positive number")
+    if fps is not None:
+        require_rate(fps)
     if (folder / RGB_LIST_NAME).exists():
-        if fps is not None:
-            raise ConfigError(f"{folder}: {RGB_LIST_NAME} tells the times; leave fps out")
-        return open_tum(folder, camera, name)
+        return open_tum(folder, camera, name, fps, pairing)
+    pairing = pairing or Pairing()
     rgb_files, depth_files = _images(folder / "rgb"), _images(folder / "depth")
     if fps is None:
-        rgb, depth = _timed_by_name(folder / "rgb", rgb_files), _timed_by_name(folder / "depth", depth_files)
-        return build_sequence(folder, rgb, depth, camera, name)
-    rgb_files, depth_files = _same_places(folder, rgb_files, depth_files)
-    times_s, places = np.arange(len(rgb_files)) / fps, np.arange(len(rgb_files))
-    rgb = Listing(folder / "rgb", times_s, tuple(rgb_files))
-    depth = Listing(folder / "depth", times_s, tuple(depth_files))
-    return build_sequence(folder, rgb, depth, camera, name, pairs=(places, places))
+        rgb, depth = (_timed_by_name(files[0].parent, files, pairing.time_unit) for files in (rgb_files, depth_files))
+        return build_sequence(folder, rgb, depth, camera, name, pairing)
+    if all(pairing.time_unit or _told_unit(files) for files in (rgb_files, depth_files)):
+        # The names tell which images belong together, though not when they were taken.
+        rgb, depth = (_timed_by_name(files[0].parent, files, pairing.time_unit) for files in (rgb_files, depth_files))
+        pairs = pair_images(folder, rgb, depth, pairing)
+        rgb = replace(rgb, timestamps_s=rgb.timestamps_s[0] + np.arange(len(rgb.files)) / fps)
+        return build_sequence(folder, rgb, depth, camera, name, pairing, pairs)
+    rgb, depth = (Listing(files[0].parent, _counted(files, fps), tuple(files)) for files in (rgb_files, depth_files))
+    pairs = pair_images(folder, rgb, depth, pairing, BY_NAME)
+    return build_sequence(folder, rgb, depth, camera, name, pairing, pairs)
 
 
 def _images(folder: Path) -> list[Path]:
     """Return the images of a folder in the order of their names, numbers in them counted as numbers."""
     if not folder.is_dir():
         raise DatasetError(f"{folder.parent}: no {RGB_LIST_NAME} and no folder {folder.name}/ in it")
-    files = [path for path in folder.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES]
+    files = [p for p in folder.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and not p.name.startswith(HIDDEN)]
     if not files:
         raise DatasetError(f"{folder}: no images in it; is the sequence complete?")
     return sorted(files, key=_natural_order)
@@ -76,34 +89,42 @@ def _natural_order(path: Path) -> tuple[tuple[str | int, ...], str]:
     return tuple(int(part) if i % 2 else part for i, part in enumerate(parts)), path.name
 
 
-def _timed_by_name(source: Path, files: list[Path]) -> Listing:
-    if all(SECONDS.fullmatch(path.stem) for path in files):
-        times_s = [float(path.stem) for path in files]
-    elif all(NANOSECONDS.fullmatch(path.stem) for path in files):
-        times_s = [int(path.stem) * 1e-9 for path in files]
-    else:
-        odd = next(path for path in files if not SECONDS.fullmatch(path.stem))
+def _timed_by_name(source: Path, files: list[Path], unit: str | None) -> Listing:
+    told = unit or _told_unit(files)
+    odd = next((path for path in files if not NUMBER.fullmatch(path.stem)), None if told else files[0])
+    if odd is not None or told is None:
         raise DatasetError(
             f"{odd}: the name tells no time (seconds like 1305031229.5287, or 19 digits of nanoseconds); "
-            f"give the frame rate, or a list {RGB_LIST_NAME}"
+            f"give the frame rate (--fps), or a list {RGB_LIST_NAME} [see troubleshooting: time-unit]"
         )
+    times_s = [in_seconds(path.stem, told) for path in files]
     order = sorted(range(len(files)), key=lambda i: times_s[i])
     ordered = tuple(files[i] for i in order)
     places = [f"/{path.name}" for path in ordered]
     return Listing(source, increasing(source, [times_s[i] for i in order], places), ordered)
 
 
-def _same_places(folder: Path, rgb: list[Path], depth: list[Path]) -> tuple[list[Path], list[Path]]:
-    """Pair files by equal names, else by their order where there are equally many."""
-    depth_of = {path.stem: path for path in depth}
-    if all(path.stem in depth_of for path in rgb):
-        return rgb, [depth_of[path.stem] for path in rgb]
-    if len(rgb) == len(depth):
-        return rgb, depth
-    raise DatasetError(
-        f"{folder}: {len(rgb)} colour and {len(depth)} depth images whose names do not agree; "
-        f"name them alike, or write {RGB_LIST_NAME} and depth.txt"
-    )
+def _told_unit(files: list[Path]) -> str | None:
+    """Return the unit of names that are times; None where they are none, or may only count."""
+    names = [path.stem for path in files]
+    if all(SECONDS.fullmatch(name) for name in names):
+        return "s"
+    if all(name.isdecimal() and len(name) in EPOCH_DIGITS.values() for name in names):
+        return next(unit for unit, digits in EPOCH_DIGITS.items() if len(names[0]) == digits)
+    return None
+
+
+def _counted(files: list[Path], fps: float) -> F64:
+    """Return the time of each image (N,) [s]: by the number in its name where those count, else by its place."""
+    places = np.arange(len(files))
+    numbers = [number for path in files if (number := last_number(path)) is not None]
+    steps = np.diff(numbers)
+    if len(numbers) == len(files) > 1 and np.all(steps > 0):
+        stride = int(np.gcd.reduce(steps))
+        # Larger steps are those of times rather than of images that were lost.
+        if np.median(steps) < LARGEST_COUNTED_STEP * stride:
+            places = (np.asarray(numbers, dtype=np.int64) - numbers[0]) // stride
+    return np.asarray(places / fps, dtype=np.float64)
 
 
 def _is_sequence(asked: SequenceRequest) -> bool:
@@ -113,7 +134,13 @@ def _is_sequence(asked: SequenceRequest) -> bool:
 
 def _open(asked: SequenceRequest, camera: str | None, fps: float | None) -> Dataset:
     assert asked.folder is not None, "recognised by its folder"
-    return open_folder(asked.folder, camera, asked.name, fps)
+    return open_folder(asked.folder, camera, asked.name, fps, asked.pairing)
 
 
-KIND = DatasetKind("folder", f"a folder with rgb/ and depth/, or with {RGB_LIST_NAME} as in TUM's", _is_sequence, _open)
+KIND = DatasetKind(
+    "folder",
+    f"a folder with rgb/ and depth/, or with {RGB_LIST_NAME} as in TUM's",
+    _is_sequence,
+    _open,
+    takes_pairing=True,
+)

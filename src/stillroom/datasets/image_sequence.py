@@ -1,19 +1,20 @@
 """A sequence of image files: colour and depth paired in time, read when asked for."""
 
 import logging
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from stillroom.data.association import TUM_MAX_GAP_S, associate
 from stillroom.data.image import RgbdImage
 from stillroom.data.trajectory import Trajectory, read_tum
-from stillroom.datasets.camera_file import choose_camera
+from stillroom.datasets.camera_file import choose_camera, choose_range
+from stillroom.datasets.listing import Listing
+from stillroom.datasets.pairing import Pairing, pair_images
 from stillroom.datasets.recording import Recording
-from stillroom.errors import CalibrationError, DatasetError, FrameError
+from stillroom.datasets.time_units import NAMES, groundtruth_in_seconds
+from stillroom.errors import CalibrationError, DatasetError, FrameError, TrajectoryError
 from stillroom.geometry.arrays import F32, F64, I64, U8, U16
 from stillroom.geometry.camera import Camera
 
@@ -23,6 +24,7 @@ PNG_START, PNG_END = b"\x89PNG", b"IEND\xaeB`\x82"
 JPEG_START, JPEG_END = b"\xff\xd8", b"\xff\xd9"
 log = logging.getLogger(__name__)
 GROUNDTRUTH_NAME = "groundtruth.txt"
+NO_DEPTH = 65535
 PROBED_FRAMES = 5
 LONG_GAP_S = 1.0
 
@@ -60,6 +62,18 @@ def depth_in_metres(units: U16, depth_factor: float) -> F32:
     return np.divide(units, np.float32(depth_factor), dtype=np.float32)
 
 
+def without_unknown(units: U16, depth_factor: float, range_m: float) -> U16:
+    """Return depth (H, W) uint16 in sensor units with 0 in place of what is no depth.
+
+    That is 65535, which recorders write for "no depth" where 0 is not their word for it, and what lies beyond the
+    sensor's range [m].
+    """
+    is_unknown = units == NO_DEPTH
+    if np.isfinite(range_m):
+        is_unknown |= units > range_m * depth_factor
+    return np.where(is_unknown, np.uint16(0), units) if is_unknown.any() else units
+
+
 def _decode(path: Path, flags: int) -> U8 | U16:
     try:
         encoded = path.read_bytes()
@@ -91,21 +105,6 @@ def _is_cut_off(encoded: bytes) -> bool:
 
 
 @dataclass(frozen=True)
-class Listing:
-    """Image files and their times.
-
-    Attributes:
-        source: The list file or folder, for messages.
-        timestamps_s: Times (N,) float64 [s], strictly increasing.
-        files: The images, in the same order.
-    """
-
-    source: Path
-    timestamps_s: F64
-    files: tuple[Path, ...]
-
-
-@dataclass(frozen=True)
 class ImageSequence(Recording):
     """A `Dataset` whose images lie on disk.
 
@@ -117,7 +116,9 @@ class ImageSequence(Recording):
         rgb_files, depth_files: The images.
         groundtruth: Poses as the data set gives them, where it has any.
         groundtruth_at_camera: The same moved to the camera, where they are those of another body that rides on it.
-        unpaired: How many listed colour images were left out because no depth image belongs to them.
+        unpaired_s: Times (M,) [s] of colour images that were left out because no depth image belongs to them.
+        range_m: Depth beyond this is none [m].
+        groundtruth_flaw: Why `groundtruth.txt` cannot be used; empty where it can, or where there is none.
     """
 
     name: str
@@ -128,7 +129,9 @@ class ImageSequence(Recording):
     depth_files: tuple[Path, ...]
     groundtruth: Trajectory | None = None
     groundtruth_at_camera: Trajectory | None = None
-    unpaired: int = 0
+    unpaired_s: F64 = field(default_factory=lambda: np.zeros(0))
+    groundtruth_flaw: str = ""
+    range_m: float = np.inf
 
     def load(self, index: int) -> RgbdImage:
         """Read image `index`.
@@ -143,6 +146,7 @@ class ImageSequence(Recording):
         expected = (self.camera.height, self.camera.width)
         if rgb.shape[:2] != expected:
             raise FrameError(f"{self.rgb_files[index]}: {_size(rgb)} pixels; the sequence has {_size_of(self.camera)}")
+        units = without_unknown(units, self.camera.depth_factor, self.range_m)
         depth_m = depth_in_metres(units, self.camera.depth_factor)
         return RgbdImage(float(self.timestamps_s[index]), rgb, depth_m, index, self.rgb_files[index].stem)
 
@@ -153,6 +157,7 @@ def build_sequence(
     depth: Listing,
     camera: str | None = None,
     name: str | None = None,
+    pairing: Pairing | None = None,
     pairs: tuple[I64, I64] | None = None,
 ) -> ImageSequence:
     """Pair the images, choose the calibration, read the ground truth, and look at the first frames.
@@ -163,22 +168,18 @@ def build_sequence(
         depth: Depth images, at least one.
         camera: The calibration that the user asks for, a name or a file.
         name: Name of the sequence; the folder's where not given.
-        pairs: Indices (K,) into `rgb` and (K,) into `depth` of images that belong together; by time, one to one,
-            where not given.
+        pairing: How images are paired.
+        pairs: Indices (K,) into `rgb` and (K,) into `depth` of images that belong together; as `pairing` says where
+            not given.
 
     Raises:
         DatasetError: Nothing pairs, or none of the first frames can be used.
         CalibrationError: No calibration is known, or its size is not that of the images.
-        TrajectoryError: The ground truth cannot be read.
     """
     name = name or folder.resolve().name
     calibration, source = choose_camera(folder, name, camera)
-    of_rgb, of_depth = pairs or associate(rgb.timestamps_s, depth.timestamps_s, TUM_MAX_GAP_S)
-    if len(of_rgb) == 0:
-        raise DatasetError(
-            f"{folder}: no colour image has a depth image within {TUM_MAX_GAP_S} s; are both lists in seconds?"
-        )
-    groundtruth = folder / GROUNDTRUTH_NAME
+    of_rgb, of_depth = pairs or pair_images(folder, rgb, depth, pairing or Pairing())
+    groundtruth, flaw = _groundtruth(folder / GROUNDTRUTH_NAME, rgb.timestamps_s)
     sequence = ImageSequence(
         name=name,
         camera=calibration,
@@ -186,12 +187,30 @@ def build_sequence(
         timestamps_s=rgb.timestamps_s[of_rgb],
         rgb_files=tuple(rgb.files[i] for i in of_rgb),
         depth_files=tuple(depth.files[i] for i in of_depth),
-        groundtruth=read_tum(groundtruth) if groundtruth.exists() else None,
-        unpaired=len(rgb.files) - len(of_rgb),
+        groundtruth=groundtruth,
+        unpaired_s=np.delete(rgb.timestamps_s, of_rgb),
+        groundtruth_flaw=flaw,
+        range_m=choose_range(folder, camera),
     )
     _probe(folder, sequence)
     _remark(sequence)
     return sequence
+
+
+def _groundtruth(path: Path, times_s: F64) -> tuple[Trajectory | None, str]:
+    """Return the ground truth, where there is one that can be used, and what is wrong with one that cannot."""
+    if not path.exists():
+        return None, ""
+    try:
+        as_written = read_tum(path)
+    except TrajectoryError as error:
+        flaw = str(error).partition(" [see")[0]
+        log.warning("ground truth is left out, so there are no figures: %s [see troubleshooting: groundtruth]", flaw)
+        return None, flaw
+    groundtruth, unit = groundtruth_in_seconds(as_written, times_s)
+    if unit != "s":
+        log.warning("%s: read as %s, converted to seconds [see troubleshooting: time-unit]", path, NAMES[unit])
+    return groundtruth, ""
 
 
 def _probe(folder: Path, sequence: ImageSequence) -> None:
@@ -199,7 +218,7 @@ def _probe(folder: Path, sequence: ImageSequence) -> None:
     errors: list[FrameError] = []
     for rgb_file, depth_file in list(zip(sequence.rgb_files, sequence.depth_files, strict=True))[:PROBED_FRAMES]:
         try:
-            rgb, _ = _read_pair(rgb_file, depth_file)
+            rgb, units = _read_pair(rgb_file, depth_file)
         except FrameError as error:
             errors.append(error)
             continue
@@ -208,19 +227,27 @@ def _probe(folder: Path, sequence: ImageSequence) -> None:
                 f"{rgb_file}: {_size(rgb)} pixels, but the camera ({sequence.camera_source}) has "
                 f"{_size_of(sequence.camera)}; give the calibration of this sequence"
             )
+        if (units == NO_DEPTH).any():
+            log.warning(
+                "%s: depth of %d, which no sensor measures, is read as unknown here and in all images "
+                "[see troubleshooting: depth-range]",
+                depth_file,
+                NO_DEPTH,
+            )
         return
     raise DatasetError(f"{folder}: none of the first {len(errors)} frames can be used; {errors[0]}")
 
 
 def _remark(sequence: ImageSequence) -> None:
     """Warn about gaps and unpaired images of a usable sequence."""
-    if sequence.unpaired:
-        log.info(
-            "%s: %d of %d colour images have no depth image within %g s and are left out",
+    n_unpaired = len(sequence.unpaired_s)
+    if n_unpaired:
+        log.warning(
+            "%s: %d of %d colour images have no depth image that belongs to them and are left out; the coverage counts "
+            "them as not tracked [see troubleshooting: unpaired-images]",
             sequence.name,
-            sequence.unpaired,
-            sequence.unpaired + len(sequence),
-            TUM_MAX_GAP_S,
+            n_unpaired,
+            n_unpaired + len(sequence),
         )
     steps_s = np.diff(sequence.timestamps_s)
     if len(steps_s) == 0:
@@ -254,20 +281,3 @@ def _size(pixels: U8 | U16) -> str:
 
 def _size_of(camera: Camera) -> str:
     return f"{camera.width}×{camera.height}"
-
-
-def increasing(source: Path, timestamps_s: Sequence[float], places: Sequence[str]) -> F64:
-    """Return times (N,) float64 [s] after making sure that they are finite and strictly increase.
-
-    Raises:
-        DatasetError: One does not; the message names its place.
-    """
-    times = np.asarray(timestamps_s, dtype=np.float64)
-    for wrong in np.flatnonzero(~np.isfinite(times)).tolist():
-        raise DatasetError(f"{source}{places[wrong]}: the timestamp is not a finite number")
-    for step in np.flatnonzero(np.diff(times) <= 0).tolist():
-        word = "repeats" if times[step + 1] == times[step] else "goes back"
-        raise DatasetError(
-            f"{source}{places[step + 1]}: the timestamp {times[step + 1]:.6f} {word}; times must increase, remove it"
-        )
-    return times

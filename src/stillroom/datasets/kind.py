@@ -1,9 +1,10 @@
 """What a kind of data set is: how it is recognised, and how it is opened."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
+from stillroom.datasets.pairing import Pairing
 from stillroom.protocols import Dataset
 
 
@@ -17,11 +18,13 @@ class SequenceRequest:
             is looked up: `recognises` is called with the text alone first.
         name: What the sequence is to be called: the name of the folder, or of the archive where that has none; empty
             while there is no path.
+        pairing: How times are to be read and images to be paired; for kinds with `takes_pairing`.
     """
 
     text: str
     path: Path | None = None
     name: str = ""
+    pairing: Pairing = field(default_factory=Pairing)
 
     @property
     def prefix(self) -> str:
@@ -46,9 +49,11 @@ class DatasetKind:
         open: Opens it. Given what is asked for; the calibration asked for, a name or a file, if any; and the frames
             per second [1/s], if given. It raises `DatasetError`, `CalibrationError` or `TrajectoryError` where the
             sequence cannot be opened, and `ConfigError` where an option does not go with this kind.
+        takes_pairing: Whether `SequenceRequest.pairing` is heeded. Where it is not, asking for any is an error.
     """
 
     name: str
     summary: str
     recognises: Callable[[SequenceRequest], bool]
     open: Callable[[SequenceRequest, str | None, float | None], Dataset]
+    takes_pairing: bool = False

@@ -1,20 +1,24 @@
 """The entry point for all sequences: resolves a path or name, and finds the kind of data set that recognises it."""
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 from stillroom.data.locations import data_folders, sequence_path
 from stillroom.datasets import archive
 from stillroom.datasets.kind import DatasetKind, SequenceRequest
+from stillroom.datasets.pairing import Pairing
 from stillroom.datasets.registry import LAST, all_kinds
 from stillroom.datasets.tum import RGB_LIST_NAME
-from stillroom.errors import DatasetError
+from stillroom.errors import ConfigError, DatasetError
 from stillroom.protocols import Dataset
 
 SEARCH_DEPTH = 2
 
 
-def open_dataset(path_or_name: str, camera: str | None = None, fps: float | None = None) -> Dataset:
+def open_dataset(
+    path_or_name: str, camera: str | None = None, fps: float | None = None, pairing: Pairing | None = None
+) -> Dataset:
     """Open a sequence.
 
     Args:
@@ -22,12 +26,12 @@ def open_dataset(path_or_name: str, camera: str | None = None, fps: float | None
             `synthetic:…` for a rendered one; or what an installed package recognises.
         camera: The calibration asked for, a name or a file. Where not given: the sequence's own `camera.toml`, else
             the one that goes with the name of a known data set. `camera_source` of the result says which it was.
-        fps: Frames per second [1/s], for a plain folder whose file names do not tell the time.
+        fps: Frames per second [1/s], for a folder whose file names or lists do not tell the time.
+        pairing: How times are read and images are paired, where the sequence does not tell it by itself.
 
     Raises:
         DatasetError: There is no such sequence, or it cannot be opened.
         CalibrationError: No calibration is known for it, or it does not fit the images.
-        TrajectoryError: Its ground truth cannot be read.
         ConfigError: An option does not go with this kind of sequence, or an installed package offers what is no kind.
     """
     kinds = tuple(all_kinds().values())
@@ -39,7 +43,13 @@ def open_dataset(path_or_name: str, camera: str | None = None, fps: float | None
     if kind is None and asked.folder is None:
         asked, kind = _unpacked(asked, kinds)
     # A folder that no kind recognises is opened as a plain one, which reports what is missing.
-    return (kind or LAST).open(asked, camera, fps)
+    kind = kind or LAST
+    if pairing is not None and pairing != Pairing() and not kind.takes_pairing:
+        raise ConfigError(
+            f"{path_or_name}: sequences of the kind '{kind.name}' know by themselves which images belong together; "
+            "leave time-unit, pair-by, max-gap and depth-offset out"
+        )
+    return kind.open(replace(asked, pairing=pairing or Pairing()), camera, fps)
 
 
 def _recognised(asked: SequenceRequest, kinds: Iterable[DatasetKind]) -> DatasetKind | None:

@@ -27,6 +27,19 @@ def readable_images(dataset: Dataset) -> Iterator[RgbdImage]:
             yield image
 
 
+def unpaired_s(dataset: Dataset) -> F64:
+    """Return times (M,) [s] of colour images that were recorded and left out, as no depth image belongs to them.
+
+    A data set that is not built on `Recording` need not know of any.
+    """
+    return np.asarray(getattr(dataset, "unpaired_s", ()), dtype=np.float64)
+
+
+def groundtruth_flaw(dataset: Dataset) -> str:
+    """Return why the ground truth that lies with a data set cannot be used; empty where it can, or there is none."""
+    return str(getattr(dataset, "groundtruth_flaw", ""))
+
+
 class Recording:
     """Base of a `Dataset` that is a whole sequence. A subclass provides four attributes and `load`.
 
@@ -40,6 +53,9 @@ class Recording:
         groundtruth: True poses as the data set gives them.
         groundtruth_at_camera: The same moved to the camera, where the given ones are those of another body.
         is_reversed: Whether the images are played backwards; a recording is played as it was taken.
+        unpaired_s: Times (M,) [s] of colour images that were recorded and left out, as no depth image belongs to them.
+        groundtruth_flaw: Why the ground truth that lies with the images cannot be used; empty where it can, or where
+            there is none.
     """
 
     name: str
@@ -49,6 +65,8 @@ class Recording:
     groundtruth: Trajectory | None = None
     groundtruth_at_camera: Trajectory | None = None
     is_reversed: bool = False
+    unpaired_s: F64 = np.zeros(0)
+    groundtruth_flaw: str = ""
 
     @property
     def numbers(self) -> I64:
@@ -107,6 +125,16 @@ class DatasetView:
     def timestamps_s(self) -> F64:
         """Times of the images (N,) float64 [s]."""
         return self._inner.timestamps_s
+
+    @property
+    def unpaired_s(self) -> F64:
+        """Times (M,) [s] of colour images in this stretch that were left out for want of depth."""
+        return unpaired_s(self._inner)
+
+    @property
+    def groundtruth_flaw(self) -> str:
+        """Why the ground truth that lies with the images cannot be used; empty where it can, or there is none."""
+        return groundtruth_flaw(self._inner)
 
     @property
     def groundtruth(self) -> Trajectory | None:

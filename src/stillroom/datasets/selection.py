@@ -8,7 +8,7 @@ import numpy as np
 from stillroom.data.image import RgbdImage
 from stillroom.data.semantics import nothing
 from stillroom.data.trajectory import Trajectory
-from stillroom.datasets.recording import DatasetView
+from stillroom.datasets.recording import DatasetView, unpaired_s
 from stillroom.errors import ConfigError
 from stillroom.geometry.arrays import F64, I64, Bool
 from stillroom.protocols import Dataset
@@ -32,6 +32,17 @@ class Selected(DatasetView):
     def timestamps_s(self) -> F64:
         """Times of the images shown (K,) float64 [s]."""
         return self._timestamps_s
+
+    @property
+    def unpaired_s(self) -> F64:
+        """Times (M,) [s] of images that were left out for want of depth: those between neighbours shown both."""
+        times_s, lost_s = np.asarray(self._inner.timestamps_s), unpaired_s(self._inner)
+        is_shown = np.zeros(len(times_s), dtype=np.bool_)
+        is_shown[self._kept] = True
+        after = np.searchsorted(times_s, lost_s)
+        before_is_shown = is_shown[np.maximum(after - 1, 0)]
+        after_is_shown = is_shown[np.minimum(after, len(times_s) - 1)]
+        return lost_s[before_is_shown & after_is_shown]
 
     @property
     def numbers(self) -> I64:
@@ -75,6 +86,11 @@ class Reversed(DatasetView):
     def timestamps_s(self) -> F64:
         """Times (N,) float64 [s], mirrored between the first and the last."""
         return self._timestamps_s
+
+    @property
+    def unpaired_s(self) -> F64:
+        """Mirrored times (M,) [s] of images that were left out for want of depth."""
+        return self._mirror_s - unpaired_s(self._inner)[::-1]
 
     @property
     def groundtruth(self) -> Trajectory | None:

@@ -5,10 +5,18 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from stillroom.data.association import TUM_MAX_GAP_S
 from stillroom.data.trajectory import Trajectory
 from stillroom.errors import TrajectoryError
-from stillroom.evaluation.trajectory_errors import RelativeError, Statistics, ate, improvement_percent, rpe, rpe_frames
+from stillroom.evaluation.time_matching import TimeMatching, estimate_offset_s
+from stillroom.evaluation.trajectory_errors import (
+    RelativeError,
+    SparseTruthError,
+    Statistics,
+    ate,
+    improvement_percent,
+    rpe,
+    rpe_frames,
+)
 
 AS_GIVEN = "as given"
 AT_CAMERA = "moved to the camera"
@@ -29,6 +37,7 @@ class Comparison:
             [m].
         rpe_1s: Drift over 1 s [m/s, deg/s], TUM's rule; None for a trajectory too short for it.
         rpe_30_frames: Drift over 30 poses [m, deg], evo's rule; None for a trajectory too short for it.
+        rpe_refused: Why there are no relative errors, where it is not for want of poses; empty otherwise.
     """
 
     groundtruth: str
@@ -39,6 +48,7 @@ class Comparison:
     still_camera_m: float
     rpe_1s: RelativeError | None
     rpe_30_frames: RelativeError | None
+    rpe_refused: str = ""
 
 
 @dataclass(frozen=True)
@@ -57,12 +67,15 @@ class Evaluation:
 
     Attributes:
         n_tracked: Frames with a pose.
-        n_given: Frames that the run was given; None where only a trajectory file is known.
+        n_given: Frames that were recorded: those that the run was given, and colour images that have no depth image.
+            None where only a trajectory file is known.
         as_given: Figures against the ground truth as the data set gives it; this is the ATE that tables quote.
         at_camera: Figures against the ground truth moved to the camera, where the given one is of another body
             (Bonn: a marker). Relative errors there mean something only with this one
             (docs/reference.md#bonn-ground-truth).
         improvement: Against a baseline run, where one was named.
+        offset_s: What was added to the estimate's times [s].
+        interpolated: Whether the ground truth was interpolated at the estimate's times.
     """
 
     n_tracked: int
@@ -70,6 +83,8 @@ class Evaluation:
     as_given: Comparison
     at_camera: Comparison | None = None
     improvement: Improvement | None = None
+    offset_s: float = 0.0
+    interpolated: bool = False
 
     @property
     def coverage(self) -> float | None:
@@ -102,7 +117,7 @@ def evaluate(
     *,
     groundtruth_camera: Trajectory | None = None,
     n_given: int | None = None,
-    max_gap_s: float = TUM_MAX_GAP_S,
+    matching: TimeMatching | None = None,
 ) -> Evaluation:
     """Compute all figures of a trajectory that the literature reports.
 
@@ -110,27 +125,42 @@ def evaluate(
         estimate: Poses of the camera, one for each tracked frame.
         groundtruth: True poses as the data set gives them.
         groundtruth_camera: True poses of the camera itself, where those given are of another body.
-        n_given: Frames that the run was given.
-        max_gap_s: Largest gap in time of a pair of poses [s].
+        n_given: Frames that were recorded.
+        matching: How poses find each other in time; as TUM's tools do it where not given.
 
     Raises:
         TrajectoryError: They cannot be compared.
     """
+    matching = matching or TimeMatching()
+    if matching.offset_s is None:
+        matching = replace(matching, offset_s=estimate_offset_s(estimate, groundtruth))
+    at_camera = None
+    if groundtruth_camera is not None:
+        at_camera = compare(estimate, groundtruth_camera, AT_CAMERA, matching)
     return Evaluation(
         n_tracked=len(estimate),
         n_given=n_given,
-        as_given=compare(estimate, groundtruth, AS_GIVEN, max_gap_s),
-        at_camera=None if groundtruth_camera is None else compare(estimate, groundtruth_camera, AT_CAMERA, max_gap_s),
+        as_given=compare(estimate, groundtruth, AS_GIVEN, matching),
+        at_camera=at_camera,
+        offset_s=matching.offset_s or 0.0,
+        interpolated=matching.interpolate,
     )
 
 
-def compare(estimate: Trajectory, groundtruth: Trajectory, name: str, max_gap_s: float = TUM_MAX_GAP_S) -> Comparison:
+def compare(
+    estimate: Trajectory, groundtruth: Trajectory, name: str, matching: TimeMatching | None = None
+) -> Comparison:
     """Compare an estimate with one ground truth, which has a name.
 
     Raises:
         TrajectoryError: They cannot be compared.
     """
+    matching = matching or TimeMatching()
+    max_gap_s = matching.max_gap_s
+    estimate, groundtruth = matching.match(estimate, groundtruth)
     absolute = ate(estimate, groundtruth, max_gap_s)
+    over_1s, refused = _measured(lambda: rpe(estimate, groundtruth, max_gap_s=max_gap_s))
+    over_30_frames, _ = _measured(lambda: rpe_frames(estimate, groundtruth, 30, max_gap_s))
     return Comparison(
         groundtruth=name,
         n_compared=absolute.n_compared,
@@ -138,17 +168,20 @@ def compare(estimate: Trajectory, groundtruth: Trajectory, name: str, max_gap_s:
         ate_sim3_m=absolute.sim3_m,
         scale=absolute.scale,
         still_camera_m=absolute.still_camera_m,
-        rpe_1s=_or_none(lambda: rpe(estimate, groundtruth)),
-        rpe_30_frames=_or_none(lambda: rpe_frames(estimate, groundtruth, 30, max_gap_s)),
+        rpe_1s=over_1s,
+        rpe_30_frames=over_30_frames,
+        rpe_refused=refused,
     )
 
 
-def _or_none(measure: Callable[[], RelativeError]) -> RelativeError | None:
-    """Return what is measured, or None where the trajectory is too short: an ATE alone is still useful."""
+def _measured(measure: Callable[[], RelativeError]) -> tuple[RelativeError | None, str]:
+    """Return what is measured; None where it cannot be, as an ATE alone is worth having, and why if that is news."""
     try:
-        return measure()
-    except TrajectoryError:
-        return None
+        return measure(), ""
+    except SparseTruthError as error:
+        return None, str(error)
+    except TrajectoryError:  # the trajectory is too short
+        return None, ""
 
 
 # An evaluation as text.
@@ -169,6 +202,12 @@ def lines(evaluation: Evaluation) -> list[str]:
                 f"{comparison.n_compared} poses compared with the ground truth {comparison.groundtruth}; static-pose "
                 f"baseline (a camera that never moved): ATE {comparison.still_camera_m:.4f} m (SE(3), RMSE)"
             )
+    if evaluation.offset_s:
+        sentences.append(f"{evaluation.offset_s:+.4f} s were added to the estimate's times")
+    if evaluation.interpolated:
+        sentences.append("the ground truth was interpolated (SE(3)) at the estimate's times")
+    if evaluation.for_rpe.rpe_refused:
+        sentences.append(f"no RPE: {evaluation.for_rpe.rpe_refused}")
     if evaluation.at_camera is not None:
         sentences.append(
             f"RPE means something only against the ground truth {evaluation.at_camera.groundtruth}: the given poses "
@@ -264,6 +303,8 @@ def from_json(text: str) -> Evaluation:
             as_given=_comparison(data["as_given"]),
             at_camera=None if at_camera is None else _comparison(at_camera),
             improvement=None if improvement is None else Improvement(**improvement),
+            offset_s=float(data.get("offset_s", 0.0)),  # earlier versions knew no offset
+            interpolated=bool(data.get("interpolated", False)),
         )
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise TrajectoryError(
@@ -281,6 +322,7 @@ def _comparison(data: dict[str, Any]) -> Comparison:
         still_camera_m=float(data["still_camera_m"]),
         rpe_1s=_relative(data["rpe_1s"]),
         rpe_30_frames=_relative(data["rpe_30_frames"]),
+        rpe_refused=str(data.get("rpe_refused", "")),
     )
 
 

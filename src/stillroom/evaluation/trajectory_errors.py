@@ -15,6 +15,7 @@ from stillroom.geometry.arrays import F64, I64, Floats
 # Which poses of an estimate are compared with which of the ground truth, and when they cannot be.
 
 
+MAX_SHARE_BESIDE = 0.1
 MIN_PAIRS = 3
 """An alignment of fewer poses is meaningless: they always fit."""
 
@@ -31,9 +32,13 @@ def pair(
     check_comparable(estimate, groundtruth, max_gap_s)
     i, j = associate(estimate.timestamps_s, groundtruth.timestamps_s, max_gap_s)
     if len(i) < MIN_PAIRS:
+        true_s = np.sort(groundtruth.timestamps_s)
+        apart_s = np.abs(true_s[_closest(true_s, estimate.timestamps_s)] - estimate.timestamps_s)
         raise TrajectoryError(
             f"only {len(i)} of the estimate's {len(estimate)} poses lie within {max_gap_s:g} s of a pose of the "
-            f"ground truth; {MIN_PAIRS} are needed: is it the same sequence and the same clock?"
+            f"ground truth, and {MIN_PAIRS} are needed; the closest ones are {float(np.median(apart_s)):.3g} s away "
+            "(median): --interpolate, --max-gap and --offset help where it is the same sequence "
+            "[see troubleshooting: groundtruth-gaps]"
         )
     return (
         Trajectory(estimate.timestamps_s[i], estimate.T_world_cam[i]),
@@ -53,7 +58,8 @@ def check_comparable(estimate: Trajectory, groundtruth: Trajectory, max_gap_s: f
     if max(starts) > min(ends) + max_gap_s:
         raise TrajectoryError(
             f"no overlap in time: the estimate lies in {starts[0]:.3f}–{ends[0]:.3f} s, the ground truth in "
-            f"{starts[1]:.3f}–{ends[1]:.3f} s; is it the same sequence and the same clock?"
+            f"{starts[1]:.3f}–{ends[1]:.3f} s; give --offset, or 'estimate' for it, where it is the same sequence by "
+            "another clock [see troubleshooting: groundtruth-gaps]"
         )
 
 
@@ -146,7 +152,34 @@ class RelativeError:
     n_pairs: int
 
 
-def rpe(estimate: Trajectory, groundtruth: Trajectory, delta_s: float = 1.0) -> RelativeError:
+class SparseTruthError(TrajectoryError):
+    """The ground truth has too few poses for relative errors: they would be those of other moments."""
+
+
+def require_dense(estimate: Trajectory, groundtruth: Trajectory, max_gap_s: float = TUM_MAX_GAP_S) -> None:
+    """Refuse a ground truth whose poses lie too far in time from the estimate's, for want of rate rather than by a gap.
+
+    A motion that is measured between moments up to half a step of the ground truth beside those of the estimate has
+    the camera's motion in that time as its error.
+
+    Raises:
+        SparseTruthError: More than a tenth of the estimate's poses have none within `max_gap_s` [s].
+    """
+    true_s, times_s = groundtruth.timestamps_s, estimate.timestamps_s
+    step_s = _median_step_s(true_s)
+    gaps_s = np.abs(true_s[_closest(true_s, times_s)] - times_s)
+    gaps_s = gaps_s[gaps_s <= 2 * step_s]
+    if np.sum(gaps_s > max_gap_s) > MAX_SHARE_BESIDE * len(gaps_s):
+        raise SparseTruthError(
+            f"the ground truth has a pose every {step_s:.3g} s (median), up to {gaps_s.max():.3g} s beside those of "
+            "the estimate, whose motion meanwhile would count as error; --interpolate, or a larger --max-gap "
+            "[see troubleshooting: groundtruth-gaps]"
+        )
+
+
+def rpe(
+    estimate: Trajectory, groundtruth: Trajectory, delta_s: float = 1.0, max_gap_s: float = TUM_MAX_GAP_S
+) -> RelativeError:
     """Measure drift over a time by the rule of `evaluate_rpe.py --fixed_delta --delta DELTA --delta_unit s`.
 
     As there, a pose is paired with the one whose time is closest to its own plus the interval, however far off
@@ -156,8 +189,10 @@ def rpe(estimate: Trajectory, groundtruth: Trajectory, delta_s: float = 1.0) -> 
 
     Raises:
         TrajectoryError: The two cannot be compared (see `check_comparable`), or fewer than two pairs are found.
+        SparseTruthError: The ground truth has too few poses (see `require_dense`).
     """
-    check_comparable(estimate, groundtruth)
+    check_comparable(estimate, groundtruth, max_gap_s)
+    require_dense(estimate, groundtruth, max_gap_s)
     times_s, true_times_s = estimate.timestamps_s, groundtruth.timestamps_s
     end = _closest(times_s, times_s + delta_s)
     start = np.flatnonzero(end != len(times_s) - 1)
@@ -177,7 +212,10 @@ def rpe_frames(
 
     Raises:
         TrajectoryError: The two cannot be compared (see `pair`), or fewer than two pairs are found.
+        SparseTruthError: The ground truth has too few poses (see `require_dense`).
     """
+    check_comparable(estimate, groundtruth, max_gap_s)
+    require_dense(estimate, groundtruth, max_gap_s)
     estimate, groundtruth = pair(estimate, groundtruth, max_gap_s)
     start = np.arange(max(0, len(estimate) - n_frames))
     return _measure(estimate.T_world_cam, groundtruth.T_world_cam, start, start + n_frames, f"{n_frames} frames")

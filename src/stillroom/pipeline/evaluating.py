@@ -7,6 +7,7 @@ from pathlib import Path
 from stillroom.data.trajectory import Trajectory, read_tum
 from stillroom.errors import StillroomError, TrajectoryError
 from stillroom.evaluation.report import Evaluation, evaluate
+from stillroom.evaluation.time_matching import TimeMatching
 from stillroom.pipeline import results
 from stillroom.pipeline.plots import draw_plots
 from stillroom.pipeline.results import results_folder
@@ -42,34 +43,41 @@ def evaluate_trajectory(trajectory: Trajectory, truth: results.Truth | None, n_g
         return None
 
 
-def evaluate_folder(path: Path, baseline: Path | None = None, write: bool = True) -> EvaluatedTrajectory:
+def evaluate_folder(
+    path: Path, baseline: Path | None = None, write: bool = True, matching: TimeMatching | None = None
+) -> EvaluatedTrajectory:
     """Evaluate the run of a results folder again; its metrics.json and pictures are made again.
 
     Args:
         path: The folder; `latest` may stand for one.
         baseline: The folder of a run to compare it with.
         write: Whether to write anything.
+        matching: How poses find those of the ground truth in time.
 
     Raises:
         StillroomError: A folder is not a results folder.
         TrajectoryError: There is no ground truth, or nothing can be compared.
     """
-    folder, trajectory, truth, evaluation = _measured(path)
+    folder, trajectory, truth, evaluation = _measured(path, matching)
     trajectories = {folder.name: trajectory}
     if baseline is not None:
-        other, other_trajectory, _, other_evaluation = _measured(baseline)
+        other, other_trajectory, _, other_evaluation = _measured(baseline, matching)
         evaluation = evaluation.against(other_evaluation, other.name)
         trajectories[other.name] = other_trajectory
     if not write:
         return EvaluatedTrajectory(folder.name, None, evaluation)
     run = results.read_run_figures(folder)
     results.write_metrics(folder, evaluation.n_tracked, evaluation.n_given, evaluation, run)
-    pictures = draw_plots(folder / results.PICTURES, trajectories, truth.as_given, folder.name)
+    pictures = draw_plots(folder / results.PICTURES, trajectories, truth.as_given, folder.name, matching)
     return EvaluatedTrajectory(folder.name, folder, evaluation, pictures)
 
 
 def evaluate_files(
-    estimate: Path, truth: results.Truth, folder: Path | None, baseline: Path | None = None
+    estimate: Path,
+    truth: results.Truth,
+    folder: Path | None,
+    baseline: Path | None = None,
+    matching: TimeMatching | None = None,
 ) -> EvaluatedTrajectory:
     """Evaluate a trajectory of any system.
 
@@ -78,33 +86,41 @@ def evaluate_files(
         truth: The ground truth.
         folder: Where to write figures and pictures; None to write nothing.
         baseline: Another such file, to compare it with.
+        matching: How poses find those of the ground truth in time.
 
     Raises:
         TrajectoryError: A file cannot be read, or nothing can be compared.
     """
     own = read_tum(estimate)
-    evaluation = evaluate(own, truth.as_given, groundtruth_camera=truth.at_camera)
+    evaluation = evaluate(own, truth.as_given, groundtruth_camera=truth.at_camera, matching=matching)
     trajectories = {estimate.stem: own}
     if baseline is not None:
         other = read_tum(baseline)
-        figures = evaluate(other, truth.as_given, groundtruth_camera=truth.at_camera)
+        figures = evaluate(other, truth.as_given, groundtruth_camera=truth.at_camera, matching=matching)
         evaluation = evaluation.against(figures, str(baseline))
         trajectories[str(baseline)] = other
     if folder is None:
         return EvaluatedTrajectory(estimate.stem, None, evaluation)
     results.write_metrics(folder, evaluation.n_tracked, None, evaluation, None)
-    pictures = draw_plots(folder, trajectories, truth.as_given, estimate.stem)
+    pictures = draw_plots(folder, trajectories, truth.as_given, estimate.stem, matching)
     return EvaluatedTrajectory(estimate.stem, folder, evaluation, pictures)
 
 
-def _measured(path: Path) -> tuple[Path, Trajectory, results.Truth, Evaluation]:
+def _measured(path: Path, matching: TimeMatching | None) -> tuple[Path, Trajectory, results.Truth, Evaluation]:
     folder = results_folder(path)
     if not (folder / results.FINAL).is_file():
         raise StillroomError(f"{folder}: no {results.FINAL} in it; is it the folder of a run?")
     trajectory, truth = read_tum(folder / results.FINAL), results.Truth.read(folder)
     if truth is None:
-        raise TrajectoryError(f"{folder}: the sequence has no ground truth, so there is nothing to compare it with")
+        raise TrajectoryError(
+            f"{folder}: the sequence has no ground truth, or none that could be read, so there is nothing to "
+            "compare it with [see troubleshooting: groundtruth]"
+        )
     evaluation = evaluate(
-        trajectory, truth.as_given, groundtruth_camera=truth.at_camera, n_given=results.count_frames(folder)
+        trajectory,
+        truth.as_given,
+        groundtruth_camera=truth.at_camera,
+        n_given=results.count_frames(folder),
+        matching=matching,
     )
     return folder, trajectory, truth, evaluation

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from stillroom.datasets.open import open_dataset
+from stillroom.datasets.pairing import Pairing
 from stillroom.datasets.selection import parse_range, select
 from stillroom.errors import ConfigError
 from stillroom.evaluation.report import Evaluation
@@ -28,7 +29,9 @@ class RunOutcome:
         system: As it is after the last frame: trajectories, results of all frames, the map.
         clock: Times of the stages.
         evaluation: Its figures; None without ground truth, or with a trajectory that cannot be compared to it.
+        has_groundtruth: Whether the sequence came with a ground truth, be it one that cannot be used.
         n_given: Images that the run was given, those that cannot be read among them.
+        n_unpaired: Images of the same stretch that were recorded, but left out for want of a depth image.
         interrupted: Whether it was stopped before the last image.
         bad: Number and time [s] of each image that cannot be read.
         pictures: What was drawn.
@@ -42,7 +45,9 @@ class RunOutcome:
     system: System
     clock: StageClock
     evaluation: Evaluation | None = None
+    has_groundtruth: bool = False
     n_given: int = 0
+    n_unpaired: int = 0
     interrupted: bool = False
     bad: list[tuple[int, float]] = field(default_factory=list)
     pictures: tuple[Path, ...] = ()
@@ -54,6 +59,11 @@ class RunOutcome:
     def n_bad(self) -> int:
         """Images that cannot be read."""
         return len(self.bad)
+
+    @property
+    def n_recorded(self) -> int:
+        """Images that were recorded, which the coverage is a share of: those given, and those left out before."""
+        return self.n_given + self.n_unpaired
 
     @property
     def n_tracked(self) -> int:
@@ -73,11 +83,12 @@ class Source:
     Attributes:
         sequence: A folder, an archive, a known name, or `synthetic:…`.
         camera: The calibration to use, a name or a file; by default the sequence's own.
-        fps: Frames per second [1/s] of a plain folder whose file names have no times.
+        fps: Frames per second [1/s] of a folder whose file names or lists have no times.
         frames: Images to keep; all by default.
         drop: Images to leave out.
         blackout: Images that arrive black, without depth.
         reverse: Whether what is left is played backwards.
+        pairing: How times are read and images are paired.
     """
 
     sequence: str
@@ -87,6 +98,7 @@ class Source:
     drop: tuple[str, ...] = ()
     blackout: tuple[str, ...] = ()
     reverse: bool = False
+    pairing: Pairing = field(default_factory=Pairing)
 
     def open(self) -> Dataset:
         """Open it.
@@ -95,7 +107,7 @@ class Source:
             DatasetError, CalibrationError, TrajectoryError, ConfigError: It cannot be opened; see `open_dataset`
                 and `select`.
         """
-        whole = open_dataset(self.sequence, self.camera, self.fps)
+        whole = open_dataset(self.sequence, self.camera, self.fps, self.pairing)
         return select(whole, self.frames, self.drop, self.blackout, self.reverse)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from stillroom.data.dense_cloud import DenseCloud
 from stillroom.data.map import submaps
 from stillroom.data.trajectory import Trajectory
+from stillroom.evaluation.time_matching import TimeMatching
 from stillroom.evaluation.trajectory_errors import ate
 from stillroom.system import System
 from stillroom.viz.cloud.render import CloudRendererConfig
@@ -21,7 +22,11 @@ ABOVE, OVER_TIME, ERROR = "trajectory_above.png", "trajectory_over_time.png", "e
 
 
 def draw_plots(
-    folder: Path, estimates: Mapping[str, Trajectory], groundtruth: Trajectory, title: str
+    folder: Path,
+    estimates: Mapping[str, Trajectory],
+    groundtruth: Trajectory,
+    title: str,
+    matching: TimeMatching | None = None,
 ) -> tuple[Path, ...]:
     """Draw trajectories against the ground truth, from above and over time, and their errors.
 
@@ -30,6 +35,7 @@ def draw_plots(
         estimates: Trajectories by their name in the legend, the evaluated one first.
         groundtruth: The true poses; only the part that the first estimate covers is drawn.
         title: Shown above.
+        matching: How poses find each other in time.
 
     Returns:
         The PNG files.
@@ -38,7 +44,10 @@ def draw_plots(
         TrajectoryError: One of them cannot be compared with the ground truth.
         StillroomError: A file cannot be written.
     """
-    compared = {name: ate(estimate, groundtruth) for name, estimate in estimates.items()}
+    matching = matching or TimeMatching()
+    compared = {
+        name: ate(*matching.match(estimate, groundtruth), matching.max_gap_s) for name, estimate in estimates.items()
+    }
     judged = next(iter(compared.values()))
     aligned = {name: error.aligned for name, error in compared.items()}
     plot_from_above(folder / ABOVE, aligned, judged.groundtruth, title)

@@ -193,7 +193,7 @@ def write_results(folder: Path, outcome: RunOutcome, truth: Truth | None) -> Non
         outcome.clock.write_csv(folder / TIMING)
         if truth is not None:
             truth.write(folder)
-    write_metrics(folder, outcome.n_tracked, outcome.n_given, outcome.evaluation, _run_figures(outcome))
+    write_metrics(folder, outcome.n_tracked, outcome.n_recorded, outcome.evaluation, _run_figures(outcome))
 
 
 def write_dense_map(folder: Path, cloud: DenseCloud) -> None:
@@ -228,10 +228,11 @@ def read_run_figures(folder: Path) -> dict[str, Any] | None:
 
 
 def count_frames(folder: Path) -> int | None:
-    """Return how many images a run was given, if its folder has that figure."""
+    """Return how many images were recorded for a run, those left out for want of depth too, as its folder tells."""
+    n_unpaired = (read_run_figures(folder) or {}).get("n_unpaired", 0)
     try:
         with (folder / FRAMES).open(encoding="utf-8", newline="") as file:
-            return sum(1 for _ in csv.DictReader(file))
+            return sum(1 for _ in csv.DictReader(file)) + (n_unpaired if isinstance(n_unpaired, int) else 0)
     except OSError:
         return None
 
@@ -268,6 +269,7 @@ def _run_figures(outcome: RunOutcome) -> dict[str, Any]:
     return {
         "n_unreadable": outcome.n_bad,
         "doubts": [str(doubt) for doubt in outcome.doubts],
+        "n_unpaired": outcome.n_unpaired,
         "interrupted": outcome.interrupted,
         "n_in_unjoined_submaps": outcome.n_apart,
         "n_submaps": len(submaps.unjoined(world)),

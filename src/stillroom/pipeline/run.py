@@ -14,6 +14,7 @@ import numpy as np
 from stillroom.config import SlamConfig
 from stillroom.data.image import RgbdImage
 from stillroom.data.result import FrameSummary, TrackingState
+from stillroom.datasets.recording import groundtruth_flaw, unpaired_s
 from stillroom.errors import ConfigError, FrameError
 from stillroom.pipeline import results
 from stillroom.pipeline.evaluating import evaluate_trajectory
@@ -248,7 +249,9 @@ def _concluded_in_any_case(
 
 def _conclude(outcome: RunOutcome, dataset: Dataset, with_plots: bool) -> None:
     trajectory, truth, folder = outcome.system.trajectory(), results.Truth.of(dataset), outcome.folder
-    outcome.evaluation = evaluate_trajectory(trajectory, truth, outcome.n_given)
+    outcome.has_groundtruth = truth is not None or groundtruth_flaw(dataset) != ""
+    outcome.n_unpaired = _n_unpaired(dataset, outcome.n_given)
+    outcome.evaluation = evaluate_trajectory(trajectory, truth, outcome.n_recorded)
     if outcome.evaluation is not None:
         for doubt in doubts_of_figures(outcome.evaluation):
             log.warning("%s", doubt)
@@ -266,6 +269,14 @@ def _conclude(outcome: RunOutcome, dataset: Dataset, with_plots: bool) -> None:
     if with_plots and truth is not None and outcome.evaluation is not None:
         draw_plots(folder / results.PICTURES, {outcome.method: trajectory}, truth.as_given, title)
     outcome.pictures = tuple(sorted((folder / results.PICTURES).glob("*.png")))
+
+
+def _n_unpaired(dataset: Dataset, n_given: int) -> int:
+    """Return how many images were left out for want of depth; of a run that was stopped, up to its last image."""
+    lost_s = unpaired_s(dataset)
+    if n_given < len(dataset):
+        lost_s = lost_s[lost_s < dataset.timestamps_s[n_given]]
+    return len(lost_s)
 
 
 def _folder(dataset: Dataset, config: SlamConfig, options: RunOptions) -> Path | None:

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from difflib import get_close_matches
 from pathlib import Path
 
+from stillroom.data.text import read_text
 from stillroom.errors import ConfigError
 
 VOC_CLASSES = (
@@ -32,8 +33,8 @@ def read_class_names(path: Path) -> tuple[str, ...]:
         ConfigError: It cannot be read, or names nothing.
     """
     try:
-        names = path.read_text(encoding="utf-8").rstrip().splitlines()
-    except (OSError, UnicodeDecodeError) as error:
+        names = read_text(path).rstrip().splitlines()
+    except (OSError, UnicodeError) as error:
         raise ConfigError(f"{path}: cannot be read as text ({error})") from error
     if not names:
         raise ConfigError(f"{path}: empty; write the network's class names, one a line")

@@ -4,6 +4,7 @@ from pathlib import Path
 
 from stillroom.data.trajectory import Trajectory, read_tum
 from stillroom.datasets.camera_file import camera_of
+from stillroom.datasets.recording import groundtruth_flaw, unpaired_s
 from stillroom.errors import TrajectoryError
 from stillroom.evaluation.report import Evaluation
 from stillroom.evaluation.report import evaluate as evaluate_trajectories
@@ -38,10 +39,14 @@ def evaluate(estimate: Trajectory | str | Path, truth: Dataset | Trajectory | st
         truth = read_tum(Path(truth))
     if isinstance(truth, Trajectory):
         return evaluate_trajectories(estimated, truth)
+    flaw = groundtruth_flaw(truth)
+    if flaw:
+        raise TrajectoryError(f"{flaw} [see troubleshooting: groundtruth]")
     if truth.groundtruth is None:
         raise TrajectoryError(f"{truth.name}: has no ground truth, so there is nothing to compare the trajectory with")
     at_camera = truth.groundtruth_at_camera
-    return evaluate_trajectories(estimated, truth.groundtruth, groundtruth_camera=at_camera, n_given=len(truth))
+    n_recorded = len(truth) + len(unpaired_s(truth))
+    return evaluate_trajectories(estimated, truth.groundtruth, groundtruth_camera=at_camera, n_given=n_recorded)
 
 
 def methods() -> dict[str, Method]:

@@ -17,4 +17,25 @@ Settings = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="Change one value, such as tracking.min_inliers=20; repeatable."),
 ]
-Seed = Annotated[int | None, typer.Option("--seed", metavar="N", help="Seed of all random choices. \\[default: 0]")]
+Seed = Annotated[
+    int | None, typer.Option("--seed", metavar="N", help="Where every random choice starts. \\[default: 0]")
+]
+Fps = Annotated[
+    float | None, typer.Option(metavar="N", help="Frame rate, where names or lists of images tell no times.")
+]
+TimeUnit = Annotated[
+    str | None,
+    typer.Option(
+        metavar="UNIT", help="Unit of the times in lists and names: s, ms, us, ns. \\[default: told from them]"
+    ),
+]
+PairBy = Annotated[
+    str | None,
+    typer.Option(metavar="WAY", help="Pair colour and depth by time, name or order. \\[default: time, else name]"),
+]
+MaxGap = Annotated[
+    float, typer.Option(metavar="S", help="Colour and depth further apart in time than this are not paired.")
+]
+DepthOffset = Annotated[
+    float, typer.Option(metavar="S", help="Add this to depth's times, such as -0.03 where depth is stamped 30 ms late.")
+]

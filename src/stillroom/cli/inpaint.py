@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from stillroom.cli.arguments import ConfigFile, Method, Seed, Settings
+from stillroom.cli.arguments import ConfigFile, DepthOffset, Fps, MaxGap, Method, PairBy, Seed, Settings, TimeUnit
+from stillroom.data.association import TUM_MAX_GAP_S
 
 if TYPE_CHECKING:
     from stillroom.config import SlamConfig
@@ -37,9 +38,11 @@ def inpaint(
     camera: Annotated[
         str | None, typer.Option(metavar="NAME|FILE", help="The calibration, where it is not the sequence's own.")
     ] = None,
-    fps: Annotated[
-        float | None, typer.Option(metavar="N", help="Frame rate of a plain folder whose file names have no times.")
-    ] = None,
+    fps: Fps = None,
+    time_unit: TimeUnit = None,
+    pair_by: PairBy = None,
+    max_gap: MaxGap = TUM_MAX_GAP_S,
+    depth_offset: DepthOffset = 0.0,
     out: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Write into this new folder. \\[default: a new one in results/]")
     ] = None,
@@ -55,13 +58,15 @@ def inpaint(
         stillroom inpaint rgbd_bonn_crowd --frames 200:560
         stillroom inpaint synthetic:walking --set semantics.kind=truth --every 10
     """
+    from stillroom.datasets.pairing import Pairing
     from stillroom.pipeline import Source
     from stillroom.pipeline.inpainted_sequence import InpaintingRecorderConfig
     from stillroom.presets.registry import configure
 
     chosen = configure(method, config, settings or (), seed)
     wanted = InpaintingRecorderConfig(every=every, video=video, map_every=MAP_EVERY if from_map else 0)
-    _paint(chosen, Source(sequence, camera, fps, frames), wanted, out)
+    pairing = Pairing(time_unit, pair_by, max_gap, depth_offset)
+    _paint(chosen, Source(sequence, camera, fps, frames, pairing=pairing), wanted, out)
 
 
 def _paint(chosen: "SlamConfig", source: "Source", wanted: "InpaintingRecorderConfig", out: Path | None) -> None:

@@ -6,7 +6,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from stillroom.cli.arguments import ConfigFile, Method, Seed, Settings
+from stillroom.cli.arguments import (
+    ConfigFile,
+    DepthOffset,
+    Fps,
+    MaxGap,
+    Method,
+    PairBy,
+    Seed,
+    Settings,
+    TimeUnit,
+)
 from stillroom.data.association import TUM_MAX_GAP_S
 from stillroom.errors import ConfigError
 
@@ -28,25 +38,6 @@ Localize = Annotated[bool, typer.Option("--localize", help="Localize in the map 
 Drop = Annotated[list[str] | None, typer.Option(metavar="A:B", help="Drop these frames from the sequence; repeatable.")]
 Blackout = Annotated[
     list[str] | None, typer.Option(metavar="A:B", help="Turn these frames black, without depth; repeatable.")
-]
-Fps = Annotated[
-    float | None, typer.Option(metavar="N", help="Frame rate, where names or lists of images tell no times.")
-]
-TimeUnit = Annotated[
-    str | None,
-    typer.Option(
-        metavar="UNIT", help="Unit of the times in lists and names: s, ms, us, ns. \\[default: told from them]"
-    ),
-]
-PairBy = Annotated[
-    str | None,
-    typer.Option(metavar="WAY", help="Pair colour and depth by time, name or order. \\[default: time, else name]"),
-]
-MaxGap = Annotated[
-    float, typer.Option(metavar="S", help="Colour and depth further apart in time than this are not paired.")
-]
-DepthOffset = Annotated[
-    float, typer.Option(metavar="S", help="Add this to depth's times, such as -0.03 where depth is stamped 30 ms late.")
 ]
 DetectorOff = Annotated[
     list[str] | None, typer.Option(metavar="A:B", help="Disable the detector in these frames; repeatable.")

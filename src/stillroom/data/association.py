@@ -39,6 +39,15 @@ def associate(first_s: F64, second_s: F64, max_gap_s: float = TUM_MAX_GAP_S) -> 
     return first_order[pairs[:, 0]], second_order[pairs[:, 1]]
 
 
+def closest(sorted_s: F64, wanted_s: F64) -> I64:
+    """Return the index (K,) of the time closest to each wanted time (K,)."""
+    if len(sorted_s) == 1:
+        return np.zeros(len(wanted_s), dtype=np.int64)
+    right = np.clip(np.searchsorted(sorted_s, wanted_s), 1, len(sorted_s) - 1)
+    left_is_closer = wanted_s - sorted_s[right - 1] <= sorted_s[right] - wanted_s
+    return np.asarray(right - left_is_closer, dtype=np.int64)
+
+
 def _candidates(first_s: F64, second_s: F64, max_gap_s: float) -> tuple[I64, I64]:
     """Return all pairs (K,), (K,) within the gap of two sorted lists, the smallest gap first."""
     # A little slack, then the exact test: sums of times near 1e9 s round.

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stillroom.data.association import TUM_MAX_GAP_S, associate
+from stillroom.data.association import TUM_MAX_GAP_S, associate, closest
 from stillroom.datasets.listing import Listing
 from stillroom.datasets.time_units import POWERS
 from stillroom.errors import ConfigError, DatasetError
@@ -83,8 +83,7 @@ def pair_by_time(folder: Path, rgb_s: F64, depth_s: F64, pairing: Pairing) -> tu
     of_rgb, of_depth = associate(rgb_s, shifted_s, pairing.max_gap_s)
     if len(of_rgb):
         return of_rgb, of_depth
-    gaps_s = shifted_s[None, :] - rgb_s[:, None]
-    late_s = float(np.median(gaps_s[np.arange(len(rgb_s)), np.argmin(np.abs(gaps_s), axis=1)]))
+    late_s = float(np.median(shifted_s[closest(shifted_s, rgb_s)] - rgb_s))
     raise DatasetError(
         f"{folder}: no colour image has a depth image within {pairing.max_gap_s:g} s; the closest ones are stamped "
         f"{abs(late_s):.3g} s {'later' if late_s > 0 else 'earlier'} (median): give --depth-offset "

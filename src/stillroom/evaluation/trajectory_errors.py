@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from stillroom.data.association import TUM_MAX_GAP_S, associate
+from stillroom.data.association import TUM_MAX_GAP_S, associate, closest
 from stillroom.data.trajectory import Trajectory
 from stillroom.errors import TrajectoryError
 from stillroom.geometry import se3
@@ -33,7 +33,7 @@ def pair(
     i, j = associate(estimate.timestamps_s, groundtruth.timestamps_s, max_gap_s)
     if len(i) < MIN_PAIRS:
         true_s = np.sort(groundtruth.timestamps_s)
-        apart_s = np.abs(true_s[_closest(true_s, estimate.timestamps_s)] - estimate.timestamps_s)
+        apart_s = np.abs(true_s[closest(true_s, estimate.timestamps_s)] - estimate.timestamps_s)
         raise TrajectoryError(
             f"only {len(i)} of the estimate's {len(estimate)} poses lie within {max_gap_s:g} s of a pose of the "
             f"ground truth, and {MIN_PAIRS} are needed; the closest ones are {float(np.median(apart_s)):.3g} s away "
@@ -167,7 +167,7 @@ def require_dense(estimate: Trajectory, groundtruth: Trajectory, max_gap_s: floa
     """
     true_s, times_s = groundtruth.timestamps_s, estimate.timestamps_s
     step_s = _median_step_s(true_s)
-    gaps_s = np.abs(true_s[_closest(true_s, times_s)] - times_s)
+    gaps_s = np.abs(true_s[closest(true_s, times_s)] - times_s)
     gaps_s = gaps_s[gaps_s <= 2 * step_s]
     if np.sum(gaps_s > max_gap_s) > MAX_SHARE_BESIDE * len(gaps_s):
         raise SparseTruthError(
@@ -194,10 +194,10 @@ def rpe(
     check_comparable(estimate, groundtruth, max_gap_s)
     require_dense(estimate, groundtruth, max_gap_s)
     times_s, true_times_s = estimate.timestamps_s, groundtruth.timestamps_s
-    end = _closest(times_s, times_s + delta_s)
+    end = closest(times_s, times_s + delta_s)
     start = np.flatnonzero(end != len(times_s) - 1)
     end = end[start]
-    true_index = _closest(true_times_s, times_s)
+    true_index = closest(true_times_s, times_s)
     has_truth = np.abs(true_times_s[true_index] - times_s) <= 2 * _median_step_s(true_times_s)
     covered = has_truth[start] & has_truth[end]
     start, end = start[covered], end[covered]
@@ -233,15 +233,6 @@ def _measure(T_estimate: F64, T_truth: F64, first: I64, second: I64, interval: s
         rotation_deg=Statistics.of(np.degrees(se3.angle_rad(error))),
         n_pairs=len(first),
     )
-
-
-def _closest(sorted_s: F64, wanted_s: F64) -> I64:
-    """Return the index (K,) of the time closest to each wanted time (K,)."""
-    if len(sorted_s) == 1:
-        return np.zeros(len(wanted_s), dtype=np.int64)
-    right = np.clip(np.searchsorted(sorted_s, wanted_s), 1, len(sorted_s) - 1)
-    left_is_closer = wanted_s - sorted_s[right - 1] <= sorted_s[right] - wanted_s
-    return np.asarray(right - left_is_closer, dtype=np.int64)
 
 
 def _median_step_s(times_s: F64) -> float:

@@ -1,4 +1,4 @@
-"""What of a rendered scene is static in the end: all that nobody moves, and what was moved where it was left."""
+"""The part of a rendered scene that is static in the end: unmoved objects, and moved ones where they were left."""
 
 from dataclasses import dataclass, field
 

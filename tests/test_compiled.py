@@ -1,6 +1,6 @@
 """Where kernels are kept, that nothing else in the process is touched, and what happens where nothing can be kept.
 
-Each case is a process of its own, with a kernel of one line or with a small one of the house.
+Each case is a process of its own, with a kernel of one line or with a small one of Stillroom.
 """
 
 import os

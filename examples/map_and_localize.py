@@ -3,7 +3,7 @@
     python examples/map_and_localize.py [SEQUENCE]
 
 The first half of the sequence makes the map; the second half is tracked against it, as on another day, and nothing is
-written into it then. `stillroom map info FILE` says what a map file holds.
+written into it then. `stillroom map info FILE` shows the contents of a map file.
 """
 
 import sys
@@ -33,9 +33,9 @@ def main(sequence: str) -> None:
             if result.T_world_cam is not None:
                 found += 1
                 x, y, z = result.T_world_cam[:3, 3]
-                print(f"{result.index:4}: in the map at {x:+.3f} {y:+.3f} {z:+.3f} m, {result.n_inliers} points agree")
+                print(f"{result.index:4}: in the map at {x:+.3f} {y:+.3f} {z:+.3f} m, {result.n_inliers} inliers")
             else:
-                print(f"{result.index:4}: not recognised yet")
+                print(f"{result.index:4}: not relocalized yet")
     print(f"{found} of {len(dataset) - half} frames found in the map")
 
 

@@ -17,7 +17,7 @@ import stillroom as sr
 
 SEQUENCE = "synthetic:walking,frames=40,fps=10"
 MARGIN_PX = 5
-"""Masks are grown by this: a margin costs little, and a rim of somebody who moves costs much."""
+"""Dilation of the masks: a margin costs little, while leftover pixels of people cost much."""
 
 
 def main(sequence: str) -> None:

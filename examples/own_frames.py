@@ -1,4 +1,4 @@
-"""Track a camera from arrays that never were a file, as they come from a driver.
+"""Track a camera from arrays in memory, as they come from a driver.
 
     python examples/own_frames.py [SEQUENCE]
 

@@ -1,8 +1,8 @@
-"""Say what may move with a function of your own, in place of a method's network.
+"""Find what is potentially dynamic with a function of your own, instead of a method's network.
 
     python examples/own_segmenter.py [SEQUENCE]
 
-Here: whatever stands nearer than two metres may move. Any function from an image to
+Here: whatever is nearer than two metres is potentially dynamic. Any function from an image to
 `Semantics` will do: call your own detector in it.
 """
 
@@ -33,7 +33,7 @@ class NearThings:
 def main(sequence: str) -> None:
     dataset = sr.open_dataset(sequence)
     segmenter = NearThings(nearer_m=2.0, min_area_px=1500)
-    # What may move is only a suspicion: the sieve of oc-slam decides what does.
+    # Potentially dynamic is only a prior: the sieve of oc-slam decides what is dynamic.
     with sr.Slam("oc-slam", camera=dataset.camera, segmenter=segmenter) as slam:
         for image in dataset:
             result = slam.process(image)

@@ -1,8 +1,8 @@
-"""Decide what does move with a sieve of your own, and compare it with the method's.
+"""Decide what is dynamic with a sieve of your own, and compare it with the method's.
 
     python examples/own_sieve.py [SEQUENCE]
 
-An object moves when most of its matches are not where the map has their points; docs/add-a-sieve.md says why.
+An object is dynamic when most of its matches are not where the map has their points; docs/add-a-sieve.md explains it.
 """
 
 import sys

@@ -1,4 +1,4 @@
-"""The house rules of docs/conventions.md, read from the source without running it, and proof that each rule bites.
+"""The rules of docs/conventions.md, read from the source without running it, and proof that each rule bites.
 
 A rule takes a source root, the folder that holds the packages, and returns its violations, one line each:
 "stillroom/geometry/rays.py:12: …".
@@ -154,7 +154,7 @@ def modules(source: Path) -> tuple[Module, ...]:
 
 
 def house_imports(source: Path) -> Iterator[tuple[Module, Import]]:
-    """Yield the imports of a package of the house, with the module that holds them."""
+    """Yield the imports of a package under src, with the module that holds them."""
     for module in modules(source):
         for found in module.imports:
             if found.package in PACKAGES:

@@ -98,7 +98,7 @@ class Dataset(Protocol):
 
         Raises:
             IndexError: There is no such image; −1 is none either.
-            FrameError: This one image cannot be used; the run goes on without it.
+            FrameError: This one image cannot be used; the run continues without it.
         """
 
 

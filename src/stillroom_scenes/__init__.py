@@ -1,7 +1,7 @@
-"""Rooms rendered by the package itself: textured, furnished, peopled, and known to the last pixel.
+"""Rendered RGB-D sequences: textured, furnished rooms with people, and exact ground truth.
 
-`kind` is how they are opened, `config` says what can be chosen, `room` has the data set.
+`kind` opens them, `config` has their options, `room` the data set.
 """
 
 PREFIX = "synthetic"
-"""Before the colon in what a user asks for: `synthetic:walking`."""
+"""Prefix of a sequence's name: `synthetic:walking`."""

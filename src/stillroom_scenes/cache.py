@@ -24,7 +24,7 @@ BUDGET_BYTES = 2 << 30
 
 @dataclass(frozen=True)
 class StoredFrame:
-    """What a sensor would deliver of a frame, and which pixel shows whom.
+    """A rendered frame as the sensor returns it, and the instance of each pixel.
 
     Attributes:
         rgb: (H, W, 3) uint8.
@@ -38,10 +38,10 @@ class StoredFrame:
 
 
 class FrameCache:
-    """Keeps frames of one sequence, each in a file of its own, uncompressed: reading must cost less than rendering.
+    """Stores frames of one sequence, each in a file of its own, uncompressed: reading must be faster than rendering.
 
-    The whole cache keeps to a budget: opening one removes the sequences that were used longest ago, and a sequence
-    that alone is larger keeps its first frames only. A file that is damaged or absent is simply rendered again.
+    The whole cache has a size limit: opening one removes the least recently used sequences, and a sequence
+    that alone is larger keeps its first frames only. Damaged or missing frames are rendered again.
     """
 
     def __init__(self, key: str, budget_bytes: int = BUDGET_BYTES) -> None:
@@ -60,7 +60,7 @@ class FrameCache:
         return _unpacked(content)
 
     def keep(self, index: int, frame: StoredFrame) -> None:
-        """Write frame `index`, whole or not at all, if it fits the budget."""
+        """Write frame `index` atomically, if it fits the size limit."""
         size = frame.instance.size * BYTES_PER_PIXEL + HEADER.size
         if not self._usable or (index + 1) * size > self._budget_bytes // 2:
             return
@@ -76,7 +76,7 @@ class FrameCache:
 
 
 def _write_whole(path: Path, content: bytes) -> None:
-    """Write a file beside its place and move it there: nobody ever sees half of it."""
+    """Write a file atomically: to a temporary name, then renamed."""
     with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as file:
         part = Path(file.name)
         try:
@@ -109,7 +109,7 @@ def _unpacked(content: bytes) -> StoredFrame | None:
 
 
 def _make_room(folder: Path, budget_bytes: int) -> None:
-    """Mark the folder as used now, and remove others until what they hold fits the budget."""
+    """Mark the folder as used now, and remove others until the cache fits the size limit."""
     try:
         if folder.is_dir():
             os.utime(folder)

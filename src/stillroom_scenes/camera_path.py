@@ -18,7 +18,7 @@ Swings = tuple[tuple[float, float], ...]
 
 @dataclass(frozen=True)
 class Wander:
-    """How far and how fast a hand strays: swings of x, y, z [m] and of yaw, pitch, roll [rad]."""
+    """Amplitudes and frequencies of hand shake: swings of x, y, z [m] and of yaw, pitch, roll [rad]."""
 
     x: Swings = ()
     y: Swings = ()
@@ -64,10 +64,10 @@ COORDINATES = ("x", "y", "z", "yaw", "pitch", "roll")
 
 
 class Hand:
-    """A hand that strays: sums of swings, exact at any time, the same again after a while."""
+    """Hand shake: periodic sums of sinusoids, exact at any time."""
 
     def __init__(self, wander: Wander, rng: np.random.Generator, period_s: float) -> None:
-        """Draw the swings' frequencies and phases; in the period each swings a whole number of times."""
+        """Sample the frequencies and phases; each frequency fits the period a whole number of times."""
         rows = []
         for row, name in enumerate(COORDINATES):
             for amplitude, frequency_hz in (*getattr(wander, name), *getattr(TREMOR, name)):
@@ -76,7 +76,7 @@ class Hand:
         self._swings = np.array(rows)
 
     def strayed(self, times_s: F64) -> F64:
-        """Return how far x, y, z [m] and yaw, pitch, roll [rad] are off (6, N) at times (N,) [s]."""
+        """Return the offsets of x, y, z [m] and yaw, pitch, roll [rad] (6, N) at times (N,) [s]."""
         row, amplitude, speed, phase = self._swings.T[..., None]
         swings = amplitude * np.sin(speed * times_s + phase)
         strayed = np.zeros((len(COORDINATES), len(times_s)))

@@ -1,4 +1,4 @@
-"""What can be chosen of a synthetic sequence, and how it is written on one line."""
+"""The options of a synthetic sequence, and its one-line specification."""
 
 import difflib
 import math
@@ -29,19 +29,19 @@ class SyntheticConfig:
     """A synthetic sequence.
 
     Attributes:
-        name: Called so in results; "" makes a name from the choices.
+        name: Name in results; "" makes a name from the options.
         n_frames: How many frames.
         fps: Frames per second [1/s].
         seed: Chooses textures, clothes, speeds, phases and noise.
-        path: How the camera goes: still, sway, rpy, halfsphere, loop; it ends where it started. In the corridor: round
+        path: The camera's path: still, sway, rpy, halfsphere, loop; it ends where it started. In the corridor: round
             (once and a quarter further, where the frames are enough; for few frames the ring is smaller). In the
             building: tour (in and out of each room in order, back, and again, as long as there are frames).
-        figures: Who is there: none, walking, standing (5 s, then walking), carried (a box), pushed (a chair). In the
+        figures: The people: none, walking, standing (5 s, then walking), carried (a box), pushed (a chair). In the
             corridor and the building: none, walking.
         room: office, workshop, library; corridor (a ring), building (rooms on both sides of a corridor).
         rooms: How many rooms the building has.
-        alike: Whether these look alike but for a tenth; else each looks different.
-        noise: Whether the sensor has noise, steps, holes and a range; without, depth is exact to 0.2 mm.
+        alike: Whether these are nine tenths alike; else each looks different.
+        noise: Whether the sensor has noise, quantisation, holes and a limited range; if not, depth is exact to 0.2 mm.
         cache: Whether frames are kept in the user's cache folder.
     """
 

@@ -1,4 +1,4 @@
-"""What of a rendered scene is static in the end: all that nobody moves, and what was moved where it was left."""
+"""The part of a rendered scene that is static in the end: unmoved objects, and moved ones where they were left."""
 
 from dataclasses import dataclass, field
 
@@ -13,9 +13,9 @@ from stillroom_scenes.scene.patches import concatenate
 class Remains:
     """The static part of a scene, as a map made until some moment should have it.
 
-    A thing that somebody moves is static from the moment he lets go of it, where it then is. Before, and while he
-    moves it, it counts as the figures do; if he has not let go by that moment, it does so throughout. A thing that
-    nobody has touched by then is static.
+    An object that a person moves is static from the moment it is released, where it then is. Before, and while it is
+    moved, it counts as the figures do; if it is not released by `end_s`, it does so throughout. An object that is never
+    touched until then is static.
 
     Attributes:
         scene: All that there is to see.

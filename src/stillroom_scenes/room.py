@@ -28,7 +28,7 @@ SMALLEST_BOX_PX = 150
 
 @dataclass(frozen=True)
 class FrameTruth:
-    """What the renderer knows of a frame.
+    """The ground truth of a frame.
 
     Attributes:
         T_world_cam: Exact pose (4, 4).
@@ -47,7 +47,7 @@ class SyntheticRoom(Recording):
     """A rendered RGB-D sequence; see `stillroom_scenes.config` for what can be chosen.
 
     Attributes:
-        scene: All that there is to see.
+        scene: The whole scene.
         empty: Makes the same sequence without people, where it is the same without them.
     """
 
@@ -59,8 +59,8 @@ class SyntheticRoom(Recording):
         """Take pictures of a world.
 
         Args:
-            name: Called so in results.
-            world: What there is to see, and the camera's way.
+            name: Name in results.
+            world: The scene, and the camera's path.
             n_frames: How many frames.
             fps: Frames per second [1/s].
             seed: Chooses the noise.
@@ -102,7 +102,7 @@ class SyntheticRoom(Recording):
         return RgbdImage(time_s, stored.rgb, depth_m, index, truth=self._semantics(stored.instance, time_s))
 
     def truth(self, index: int) -> FrameTruth:
-        """Return what the renderer knows of frame `index`.
+        """Return the ground truth of frame `index`.
 
         Raises:
             IndexError: There is no such frame.
@@ -124,11 +124,11 @@ class SyntheticRoom(Recording):
         return Remains(self.scene, float(self.timestamps_s[last]))
 
     def handled(self, instance: U8) -> Bool:
-        """Return which pixels (H, W) show things that somebody handles, given what each shows; see `FrameTruth`."""
+        """Return which pixels (H, W) show handled objects, given the instance of each; see `FrameTruth`."""
         return np.asarray(instance >= FIRST_OBJECT)
 
     def without_people(self) -> "SyntheticRoom | None":
-        """Return the same sequence without people; None where things are carried or pushed, which must be somewhere."""
+        """Return the same sequence without people; None where objects are carried or pushed by people."""
         return None if self.empty is None else self.empty()
 
     def pose(self, index: int) -> F64:
@@ -144,7 +144,7 @@ class SyntheticRoom(Recording):
         return render(self.scene, self.camera, self.pose(index), float(self.timestamps_s[index]))
 
     def _taken(self, index: int) -> StoredFrame:
-        """Render frame `index` and let the sensor spoil it."""
+        """Render frame `index` and apply the sensor model."""
         rendering = self._rendered(index)
         units: U16 = np.empty(rendering.instance.shape, dtype=np.uint16)
         if self._noise is None:
@@ -184,7 +184,7 @@ class SyntheticRoom(Recording):
 
 @lru_cache(maxsize=1)
 def _renderer_version() -> str:
-    """Return a hash of the renderer's own sources: a frame kept by another version is never taken for one of this."""
+    """Return a hash of the renderer's own sources: frames of other versions are not reused."""
     folder = Path(__file__).parent
     digest = hashlib.sha256(f"{np.__version__} {cv2.__version__}".encode())
     for path in sorted(folder.rglob("*.py")):

@@ -1,4 +1,4 @@
-"""What a Kinect-like sensor makes of perfect colours and depths; and the numbers it draws from."""
+"""The model of a Kinect-like sensor: noise on perfect colours and depths, from tables of random numbers."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -1,4 +1,4 @@
-"""Making what Stillroom reads: PSPNet's weights, vocabularies of places, and ONNX files of darknet's networks.
+"""Training and export: PSPNet's weights, vocabularies, and ONNX files of darknet's networks.
 
 Its commands reach the command line by entry points; `stillroom` itself never imports this package.
 """

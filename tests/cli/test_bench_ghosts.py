@@ -118,7 +118,7 @@ def test_a_run_in_another_world_is_judged_in_the_renderers() -> None:
     assert (clean.ghosts.n_ghosts, clean.surface.n_astray) == (0, 0)
     assert clean.complete.share > 0.97
     assert raw.ghosts.share > 0.05
-    with pytest.raises(TrajectoryError, match="no map to judge"):
+    with pytest.raises(TrajectoryError, match="no map to evaluate"):
         TruthJudge(room, {3: np.eye(4)}, range(20, 60))
 
 

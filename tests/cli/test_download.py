@@ -94,7 +94,7 @@ def test_ctrl_c_says_that_nothing_is_lost(served: Path, monkeypatch: pytest.Monk
     monkeypatch.setattr(command, "fetch_target", interrupted)
     result = run("bonn/tiny")
     assert result.exit_code == 130
-    assert "the same command goes on" in result.output
+    assert "the same command resumes it" in result.output
 
 
 def test_a_network_goes_to_the_models(served: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -71,9 +71,9 @@ def test_training_and_converters_are_commands() -> None:
 
 def test_the_list_says_what_their_help_says(stillroom: Callable) -> None:
     listed = flat(stillroom("--help").out)
-    assert "train Train PSPNet, which says where people are." in listed
+    assert "train Train PSPNet, which segments people." in listed
     assert "train-vocabulary Make a vocabulary of places from sequences." in listed
-    assert "pspnet Train PSPNet, which says where people are." in flat(stillroom("train", "--help").out)
+    assert "pspnet Train PSPNet, which segments people." in flat(stillroom("train", "--help").out)
     for words, function in ours().items():
         said = stillroom(*words, "--help")
         assert said.code == 0

@@ -99,7 +99,7 @@ MISUSES: dict[str, tuple[list[str], str]] = {
     "continue without a map": (["--continue"], "--continue needs a map: name its file with --map"),
     "localize without a map": (["--localize"], "--localize needs a map"),
     "both": (["--map", "SMALL", "--continue", "--localize"], "leave one of them out"),
-    "a new map over an old one": (["--map", "SMALL"], "exists already; go on in it with --continue"),
+    "a new map over an old one": (["--map", "SMALL"], "exists already; extend it with --continue"),
     "no map to go on in": (["--map", "none.stillmap", "--continue"], "none.stillmap: no such map"),
     "no map to track against": (["--map", "none.stillmap", "--localize"], "none.stillmap: no such map"),
     "a folder": (["--map", "."], "is a folder"),

@@ -1,4 +1,4 @@
-"""Every method of the house keeps the contract, on the synthetic room and on real frames."""
+"""Every method of Stillroom fulfils the contract, on the synthetic room and on real frames."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -70,7 +70,7 @@ def test_the_contract_sees_a_wrong_description(room: Dataset, spoil: Callable[[M
 
 
 def test_the_contract_sees_chance(room: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A pose that depends on what was drawn by lot elsewhere breaks it."""
+    """A pose that depends on random numbers drawn elsewhere breaks it."""
     from stillroom.system import System
 
     honest, generator = System.process, np.random.default_rng()

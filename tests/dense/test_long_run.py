@@ -32,7 +32,7 @@ class Walk:
     Attributes:
         room: Where.
         config: The dense map.
-        keyframe_every: Every so many-th frame is a keyframe.
+        keyframe_every: Stride of the keyframes, in frames.
         n_drifting: Frames until the loop closure.
         most_bytes: The most that the map said it held.
         most_disk_bytes: The most that lay in its files.

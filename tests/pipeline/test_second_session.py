@@ -53,7 +53,7 @@ def test_a_short_second_session(bonn: Path, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_second_session_with_people(bonn: Path, tmp_path: Path) -> None:
-    """All of it, backwards too, and from five frames drawn by lot to the end."""
+    """All of it, backwards too, and from five frames sampled at random to the end."""
     path, config = tmp_path / "room.stillmap", with_overrides(configure("oc-slam"), POSES_ONLY)
     played(bonn, config, path, MapUse.NEW, "0:200")
     starts = np.random.default_rng(0).integers(200, 530, 5)

@@ -73,16 +73,16 @@ DAMAGES: dict[str, tuple[Damage, str]] = {
     ),
     "a pose that stretches": (in_blob("keyframes", "T_world_cam", "<f8", put(0, 1.01)), "keyframe 0 is not rigid"),
     "a time that is none": (sql("UPDATE keyframes SET timestamp_s = 9e999 WHERE keyframe = 0"), "time of keyframe 0"),
-    "a parent that does not exist": (sql("UPDATE keyframes SET parent = 777 WHERE keyframe = 2"), "hangs on 777"),
+    "a parent that does not exist": (sql("UPDATE keyframes SET parent = 777 WHERE keyframe = 2"), "has the parent 777"),
     "a culled one without parent": (
         sql(
             "UPDATE keyframes SET parent = -1 WHERE keyframe = (SELECT min(keyframe) FROM keyframes WHERE NOT is_alive)"
         ),
-        "hangs on no living one",
+        "has no ancestor that is alive",
     ),
     "culled ones in a circle": (
         sql("UPDATE keyframes SET parent = keyframe WHERE NOT is_alive"),
-        "hangs on no living one",
+        "has no ancestor that is alive",
     ),
     "a point that does not exist": (in_blob("observations", "point", "<i4", first_seen(99999)), "does not exist"),
     "an observation that no list knows": (in_blob("observations", "point", "<i4", drop_first), "leads to a keypoint"),

@@ -250,8 +250,8 @@ class TruthJudge:
         """Return notes on how to read the rows."""
         return [
             "ghosts: points further than 5 cm from the true static surface, where something was that moved; suspects: "
-            "further than that anywhere; astray: where nothing moved; error: of all points but ghosts; a thing that "
-            "somebody moved is static where he left it",
+            "further than that anywhere; astray: where nothing moved; error: of all points but ghosts; an object that "
+            "people moved is static where it was left",
             f"complete: of the {len(self._scene.seen_m)} places of the static surface that the camera sees within "
             f"{TRUTH_REACH_M:.0f} m, those with a point of the map within 5 cm",
         ]

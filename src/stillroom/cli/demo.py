@@ -21,7 +21,7 @@ ROOM = "synthetic:walking"
 BASELINE, METHOD = "orb-slam2", "oc-slam"
 N_PICTURES = 4
 INTERRUPTED = 130
-HEADER = ("method", "ATE [m]", "of the baseline's", "frames tracked", "improvement")
+HEADER = ("method", "ATE [m]", "of static-pose ATE", "frames tracked", "improvement")
 
 
 def demo(

@@ -76,7 +76,7 @@ def run(
     settings: Settings = None,
     config: ConfigFile = None,
     export_masks: ExportMasks = None,
-    pictures: Annotated[int, typer.Option(min=0, metavar="N", help="How many frames to draw; 0: none.")] = 8,
+    pictures: Annotated[int, typer.Option(min=0, metavar="N", help="How many frames to draw; 0: no pictures.")] = 8,
 ) -> None:
     """Track the camera through a sequence.
 

@@ -120,8 +120,8 @@ class Semantics:
         boxes: Objects of movable classes.
         mask: Pixels of potentially dynamic objects (H, W); None where a segmenter gives only boxes.
         clusters: Clusters of the depth cloud, where it was segmented; potentially dynamic whatever their class is.
-        named: Objects of classes that stand still unless somebody moves them, such as chairs; no reason to think that
-            they move.
+        named: Objects of classes that are static unless people move them, such as chairs; they do not count as
+            potentially dynamic.
         instances: Objects of movable classes with a mask each, where a segmenter separates them; they may overlap.
             Where there is a mask too, it covers all of them: to dilate the mask, dilate or drop them too.
     """

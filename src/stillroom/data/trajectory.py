@@ -63,7 +63,7 @@ def read_tum(path: Path) -> Trajectory:
     lengths = np.linalg.norm(numbers[:, 4:], axis=1)
     for (line, values), length in zip(rows, lengths, strict=True):
         if not np.all(np.isfinite(values)):
-            raise TrajectoryError(f"{path}:{line}: a number is not finite; remove or mend this pose")
+            raise TrajectoryError(f"{path}:{line}: a number is not finite; remove or correct this pose")
         if abs(length - 1.0) > 0.01:
             raise TrajectoryError(f"{path}:{line}: the quaternion has length {length:.3f}; it must be 1")
     steps = np.diff(numbers[:, 0])

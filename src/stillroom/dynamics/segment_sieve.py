@@ -196,7 +196,7 @@ class _SegmentPoints(NamedTuple):
 
 
 def spread(group: I64, most: int) -> I64:
-    """Return up to so many of each group's members (N,), evenly over their order, in rising order."""
+    """Return up to `most` of each group's members (N,), evenly over their order, in rising order."""
     order = np.argsort(group, kind="stable")
     counts = np.bincount(group)
     first = np.cumsum(counts) - counts

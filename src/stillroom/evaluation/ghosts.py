@@ -170,7 +170,7 @@ class Gatherer:
             self._pending = [_merged(self._pending)]
 
     def points(self, seen_by: int = 1) -> F64:
-        """Return the mean positions (N, 3) [m, world] in the cells that at least so many images saw."""
+        """Return the mean positions (N, 3) [m, world] in the cells that at least `seen_by` images saw."""
         self._pending = [cells := _merged(self._pending)]
         chosen = cells.n_images >= seen_by
         return np.asarray(cells.total_m[chosen] / cells.n_points[chosen, None])
@@ -242,14 +242,14 @@ class FreeSpaceConfig:
     Attributes:
         tolerance_m, tolerance_share: A ray passes a point by more than the first and more than this share of its
             depth.
-        min_rays: So many images must have a ray that passes …
-        may_agree: … and no more than so many find a surface at the point.
+        min_rays: At least this many images must have a ray that passes …
+        may_agree: … and at most this many find a surface at the point.
         doubt: A surface is at the point when they differ by no more than the tolerance times this: the point is a
             measurement too, and may be as wrong as the surface, the other way.
-        reach_px: All within so many pixels of the ray that the image knows must lie behind the point too.
-        voxel_m: The empty room is sampled so finely [m].
-        seen_by: A surface of the room was seen by so many images of the room …
-        again_by: … and again by so many of those that the map is made of.
+        reach_px: All known depths within this many pixels of the ray must lie behind the point too.
+        voxel_m: Sampling distance of the empty room [m].
+        seen_by: A surface of the room was seen by at least this many images of the room …
+        again_by: … and again by at least this many of those that the map is made of.
         reach_m: Surfaces further from the camera are left out [m]: their depth is too uncertain.
     """
 

@@ -76,7 +76,7 @@ def refine(
         fit: Where to start, and the inliers.
         first_px, second_px: The pairs (N, 2) [px].
         symmetric: Whether the error in the first image counts too.
-        iterations: At most so many steps.
+        iterations: Most steps.
 
     Returns:
         The refined fit and the pairs that it was fitted to.

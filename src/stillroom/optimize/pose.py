@@ -149,7 +149,7 @@ def minimize_pose(
         T_start: Where to start, T_cam_world (4, 4).
         seen: The observations.
         is_active: Which of them count (N,).
-        iterations: At most so many steps are tried.
+        iterations: Most steps that are tried.
         deltas2: Huber's squared thresholds, without and with a right coordinate.
     """
     H, b, H_trial, b_trial = np.empty((6, 6)), np.empty(6), np.empty((6, 6)), np.empty(6)

@@ -126,7 +126,9 @@ class MaskFiles:
         if self._config.missing == "error":
             raise DatasetError(f"{problem}; add it, or set missing to 'nothing'")
         if not self._warned:
-            logger.warning("%s: nothing is taken as potentially dynamic, here and wherever a mask is missing", problem)
+            logger.warning(
+                "%s: taken as 'nothing is potentially dynamic', here and wherever a mask is missing", problem
+            )
             self._warned = True
         return nothing(image.height, image.width)
 

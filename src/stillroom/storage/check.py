@@ -45,7 +45,7 @@ def _problems_of_rest(stored: StoredMap) -> Iterator[str]:
         if not 0 <= frame.session < len(stored.sessions):
             yield f"{where} belongs to no session"
         if not 0 <= frame.reference_keyframe < n_keyframes:
-            yield f"{where} hangs on keyframe {frame.reference_keyframe}, which does not exist"
+            yield f"{where} refers to keyframe {frame.reference_keyframe}, which does not exist"
     poses = np.array([frame.T_reference_cam for frame in stored.frames]).reshape(-1, 4, 4)
     yield from (
         f"the pose of frame {stored.frames[i].image_index} is not rigid" for i in np.flatnonzero(~are_rigid(poses))

@@ -23,9 +23,9 @@ def problems_of_map(world: Map) -> Iterator[str]:
 def _problems_of_keyframes(world: Map) -> Iterator[str]:
     table, n = world.keyframes, len(world.keyframes)
     wild = np.flatnonzero((table.parent < -1) | (table.parent >= n))
-    yield from (f"keyframe {k} hangs on {table.parent[k]}, which does not exist" for k in wild)
+    yield from (f"keyframe {k} has the parent {table.parent[k]}, which does not exist" for k in wild)
     if len(wild) == 0:
-        yield from (f"culled keyframe {k} hangs on no living one" for k in _hanging_nowhere(world))
+        yield from (f"culled keyframe {k} has no ancestor that is alive" for k in _hanging_nowhere(world))
     poses = np.where(table.is_alive[:, None, None], table.T_world_cam, table.T_parent_cam)
     yield from (f"the pose of keyframe {k} is not rigid" for k in np.flatnonzero(~are_rigid(poses)))
     yield from (f"the time of keyframe {k} is not finite" for k in _not_finite(table.timestamp_s))

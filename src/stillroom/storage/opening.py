@@ -109,8 +109,7 @@ def require_unused(path: Path) -> None:
         raise MapError(f"{path}: is a folder; a map is a file, such as {path / f'room{SUFFIX}'}")
     if path.exists():
         raise MapError(
-            f"{path}: exists already; go on in it with --continue, track against it with --localize, "
-            "or choose another name"
+            f"{path}: exists already; extend it with --continue, localize in it with --localize, or choose another name"
         )
     if log_of(path).exists():
         raise MapError(f"{log_of(path)}: belongs to a map that is gone; remove it, or choose another name")

@@ -1,7 +1,7 @@
 """The floor plan: cells, the openings between them, and which cells can be seen from a place.
 
 Walls are opaque, so what is seen of another cell is seen through openings. From the camera's cell the horizontal cone
-of view is clipped by each opening, and what is left goes on into the cell beyond. A building may so be of any size: a
+of view is clipped by each opening, and what is left continues into the cell beyond. A building may so be of any size: a
 frame costs what lies behind the doors in view.
 """
 

@@ -19,7 +19,7 @@ class Walk:
         """Fix the way.
 
         Args:
-            corners_m: Of the line (N, 2); from the last it goes on to the first.
+            corners_m: Of the line (N, 2); closed from the last to the first.
             pace_m_s: Speed along the rounded line.
             wander: How the hand strays from it.
             seed: Chooses the swings' phases.

@@ -22,19 +22,19 @@ def export_pspnet(
     backbone: Annotated[str, typer.Option(metavar="NAME", help="mobilenetv2 or resnet50.")] = "mobilenetv2",
     spared: Annotated[
         float,
-        typer.Option("--thin", metavar="SHARE", help="Spare this share of the work, such as 0.25."),
+        typer.Option("--thin", metavar="SHARE", help="Prune this share of the work, such as 0.25."),
     ] = 0.0,
     pictures: Annotated[
         list[Path] | None,
         typer.Option(
             "--pictures",
             metavar="DIR",
-            help="What it will see, to choose channels by: images/ (every fifth left out), or a sequence; repeatable.",
+            help="Images for choosing channels: images/ (every fifth left out), or a sequence; repeatable.",
         ),
     ] = None,
     full: Annotated[bool, typer.Option("--full", help="Store weights as 32-bit numbers, not as 16.")] = False,
 ) -> None:
-    """Turn what was trained into an ONNX file, which runs without torch.
+    """Export a trained network as an ONNX file, which runs without torch.
 
     To use it: --set semantics.kind=pspnet --set semantics.model=pspnet.onnx
 

@@ -10,16 +10,14 @@ MEGABYTE = 1e6
 
 def export_yolo(
     cfg: Annotated[Path, typer.Argument(metavar="CFG", help="The network, as darknet writes it.")],
-    weights: Annotated[Path, typer.Argument(metavar="WEIGHTS", help="Its numbers.")],
+    weights: Annotated[Path, typer.Argument(metavar="WEIGHTS", help="Its weights.")],
     names: Annotated[Path, typer.Option("--names", metavar="FILE", help="Its class names, one a line.")],
     out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="Write the network here.")] = Path(
         "yolo.onnx"
     ),
-    about: Annotated[
-        str, typer.Option(metavar="TEXT", help="Where it comes from and under which licence, for the file to say.")
-    ] = "",
+    about: Annotated[str, typer.Option(metavar="TEXT", help="Origin and licence, stored in the file.")] = "",
 ) -> None:
-    """Turn a detector of darknet's, cfg and weights, into an ONNX file.
+    """Export a detector of darknet's, cfg and weights, as an ONNX file.
 
     YOLO-Fastest's networks and those of YOLO v3 can be read so. To use it: --set semantics.model=yolo.onnx with
     --method oc-slam.

@@ -26,11 +26,11 @@ People = Annotated[
 ]
 Rooms = Annotated[
     list[Path] | None,
-    typer.Option("--room", metavar="DIR", help="An RGB-D sequence in which nobody is; repeatable."),
+    typer.Option("--room", metavar="DIR", help="An RGB-D sequence without people; repeatable."),
 ]
 Domain = Annotated[
     Path | None,
-    typer.Option(metavar="DIR", help="An RGB-D sequence with people, of which the teacher's word is taken."),
+    typer.Option(metavar="DIR", help="An RGB-D sequence with people, labelled by the teacher."),
 ]
 Every = Annotated[int, typer.Option(min=1, metavar="N", help="Use every N-th frame of sequences.")]
 Start = Annotated[
@@ -46,12 +46,12 @@ TeacherFile = Annotated[
     Path | None, typer.Option(metavar="FILE", help=f"ONNX file of the teacher. \\[default: {TEACHER}]")
 ]
 Out = Annotated[
-    Path, typer.Option(metavar="DIR", help="Folder for checkpoint, log and ONNX file; goes on from what is there.")
+    Path, typer.Option(metavar="DIR", help="Folder for checkpoint, log and ONNX file; resumes from a checkpoint in it.")
 ]
-Threads = Annotated[int, typer.Option(min=0, metavar="N", help="CPU threads; 0: all that there are.")]
+Threads = Annotated[int, typer.Option(min=0, metavar="N", help="CPU threads; 0: all.")]
 LookEvery = Annotated[
     int,
-    typer.Option(min=0, metavar="N", help="Steps between looks at the pictures held out; 0: at the end only."),
+    typer.Option(min=0, metavar="N", help="Steps between validations on the pictures held out; 0: at the end only."),
 ]
 
 
@@ -67,16 +67,16 @@ def train_pspnet(
     recipe: Annotated[str, typer.Option(metavar="NAME", help="practical, or paper.")] = "practical",
     settings: Settings = None,
     out: Out = Path("results/pspnet"),
-    seed: Annotated[int, typer.Option(min=0, metavar="N", help="Where every random choice starts.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, metavar="N", help="Seed of all random choices.")] = 0,
     device: Annotated[str, typer.Option(metavar="NAME", help="cpu or cuda.")] = "cpu",
     threads: Threads = 0,
     look_every: LookEvery = 0,
 ) -> None:
-    """Train PSPNet, which says where people are.
+    """Train PSPNet, which segments people.
 
-    Learns from pictures with true masks, of which every fifth is held out, and from what a teacher says of all 21
-    classes. Needs torch, which the extra 'train' installs. Stopped, it goes on where the last checkpoint was; on
-    several processes or GPUs it runs under torchrun.
+    Trains on pictures with true masks, of which every fifth is held out, and on a teacher's labels of all 21 classes.
+    Needs torch, which the extra 'train' installs. A stopped run resumes from the last checkpoint; on several processes
+    or GPUs it runs under torchrun.
 
         stillroom train pspnet --room empty_room --domain rgbd_bonn_crowd
         stillroom train pspnet --recipe paper --backbone resnet50
@@ -94,7 +94,7 @@ def train_pspnet(
     network = architecture(backbone)
     chosen = with_overrides(preset(recipe), settings or ())
     if str(start) == SCRATCH:
-        chosen = replace(chosen, stay=0.0, anchor=0.0)  # random weights are nothing to stay with
+        chosen = replace(chosen, stay=0.0, anchor=0.0)  # no pull back to random weights
     chosen.check()
     processes = int(os.environ.get("WORLD_SIZE", "1"))
     torch_or_error().set_num_threads(threads or max((os.cpu_count() or 1) // processes, 1))

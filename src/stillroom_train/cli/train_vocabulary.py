@@ -21,13 +21,13 @@ def train_vocabulary(
         Path | None,
         typer.Option(metavar="FILE", help="Grow this vocabulary on the sequences instead of starting from nothing."),
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, metavar="N", help="Where every random choice starts.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, metavar="N", help="Seed of all random choices.")] = 0,
 ) -> None:
     """Make a vocabulary of places from sequences.
 
-    Place recognition compares images by the words of a vocabulary. One is shipped; another, made from images like
-    one's own, may tell similar places apart better. A text beside the file says what it was made from. To use it:
-    --set places.vocabulary=FILE.
+    Place recognition compares images by the words of a vocabulary. One is shipped; another, trained on images of your
+    own, may distinguish similar places better. A text file next to it names the training data. To use it: --set
+    places.vocabulary=FILE.
 
         stillroom train-vocabulary synthetic:empty my_lab --out lab.vocabulary
     """

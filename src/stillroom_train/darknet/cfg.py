@@ -49,7 +49,7 @@ class _Section:
             raise WeightsError(f"{self.where}: [{self.name}] {key} is not a list of numbers") from None
 
     def allow_only(self, *known: str) -> None:
-        """Refuse options that would change the result without our knowing."""
+        """Refuse unknown options, which could change the result."""
         for key in self.options:
             if key not in known:
                 raise WeightsError(f"{self.where}: [{self.name}] option '{key}' is not supported")
@@ -81,7 +81,7 @@ def read_cfg(path: Path) -> Network:
 
 
 def read_bytes(path: Path) -> bytes:
-    """Return what a file of a network holds.
+    """Return the content of a network's file.
 
     Raises:
         WeightsError: It cannot be read.
@@ -94,7 +94,7 @@ def read_bytes(path: Path) -> bytes:
 
 
 def _check_heads(network: Network, path: Path) -> None:
-    """Make sure that each head has a convolution of its own, which can be cut to the classes that are asked for."""
+    """Check that each head has a convolution of its own, which can be reduced to the wanted classes."""
     read = {layer.source for layer in network.layers if isinstance(layer, Shortcut)}
     read.update(*(layer.sources for layer in network.layers if isinstance(layer, Route)))
     for index, layer in enumerate(network.layers):

@@ -1,4 +1,4 @@
-"""What a darknet network computes, without the numbers: one small record a layer."""
+"""The layers of a darknet network, without weights."""
 
 from dataclasses import dataclass
 from typing import TypeAlias

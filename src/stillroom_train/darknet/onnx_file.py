@@ -37,9 +37,9 @@ def convert_files(cfg: Path, weights: Path, names: Path, about: str = "") -> byt
 
     Args:
         cfg: The network.
-        weights: Its numbers.
+        weights: Its weights.
         names: Its class names, one a line.
-        about: Where it comes from and under which licence, for the file to say.
+        about: Origin and licence, stored in the file.
 
     Raises:
         WeightsError: A file is missing, damaged or not supported, or they do not belong to each other.
@@ -59,7 +59,7 @@ def convert(network: Network, weights: list[ConvolutionWeights], classes: Sequen
         network: What is computed.
         weights: The numbers of its convolutions, in order.
         classes: Names of its classes.
-        about: Where it comes from and under which licence, for the file to say.
+        about: Origin and licence, stored in the file.
     """
     from onnx import TensorProto, checker, helper
 

@@ -1,1 +1,1 @@
-"""PSPNet: the network, how it learns, and how it becomes an ONNX file. torch is imported only where it is used."""
+"""PSPNet: the network, its training, and its export to ONNX. torch is imported only where it is used."""

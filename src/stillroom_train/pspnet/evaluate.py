@@ -1,4 +1,4 @@
-"""How well a network finds people in pictures that it did not learn from."""
+"""The accuracy of person segmentation on pictures that were not in the training set."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ Segment = Callable[[U8], Bool]
 
 @dataclass(frozen=True)
 class Overlap:
-    """Intersection over union of people's pixels, told and true.
+    """Intersection over union of people's pixels, predicted and true.
 
     Attributes:
         mean: Mean over the pictures.
@@ -36,7 +36,7 @@ def overlap(segment: Segment, pictures: Iterable[tuple[U8, U8]]) -> Overlap:
 
 
 def called_person(segment: Segment, pictures: Iterable[U8]) -> float:
-    """Return which share of the pixels of some pictures is called a person's."""
+    """Return the share of the pixels of some pictures that is classified as person."""
     shares = [float(segment(rgb).mean()) for rgb in pictures]
     return float(np.mean(shares)) if shares else 0.0
 

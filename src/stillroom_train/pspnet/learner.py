@@ -1,4 +1,4 @@
-"""A network that learns: one step at a time, stored and resumed without a trace."""
+"""Training of a network, step by step, with exact checkpoints."""
 
 import math
 import pickle
@@ -31,7 +31,7 @@ class Learner:
             architecture: The network.
             recipe: How it learns.
             steps_an_epoch: For the schedule by epochs.
-            seed: Of the random weights, and of what is dropped while training.
+            seed: Of the random weights, and of dropout.
             device: As torch calls it.
 
         Raises:
@@ -112,7 +112,7 @@ class Learner:
         }
 
     def store(self, path: Path) -> None:
-        """Write everything that going on needs; a file of this name is replaced only by a whole one."""
+        """Write a checkpoint; an older file is replaced atomically."""
         state = {
             "state_dict": self.network.state_dict(), "mean": self._mean, "start": self._start, "step": self.step,
             "result": {name: self._torch.from_numpy(value) for name, value in self.result().items()},
@@ -124,7 +124,7 @@ class Learner:
         part.replace(path)
 
     def resume(self, path: Path) -> None:
-        """Go on from where `store` was called.
+        """Resume from a checkpoint of `store`.
 
         Raises:
             WeightsError: The file is absent, or of another network.
@@ -147,12 +147,12 @@ class Learner:
         return ((rgb - mean) / std).to(memory_format=self._torch.channels_last)
 
     def _remember(self) -> None:
-        """Take note of where the weights are now."""
+        """Store the weights as the start."""
         self._start = {name: value.detach().clone() for name, value in self.network.named_parameters()}
         self._mean = {name: value.clone() for name, value in self._start.items()} if self.recipe.average else {}
 
     def _hold_back(self) -> None:
-        """Pull the weights towards where they began."""
+        """Pull the weights towards the start."""
         pull = self.rate * self.recipe.anchor
         if pull == 0.0:
             return
@@ -161,7 +161,7 @@ class Learner:
                 value.lerp_(self._start[name], pull)
 
     def _average(self) -> None:
-        """Let the running mean follow; quickly at first, while it is still where the weights began."""
+        """Update the running mean; quickly at first, while it is near the initial weights."""
         stays = min(self.recipe.average, (1 + self.step) / (10 + self.step))
         with self._torch.no_grad():
             for name, value in self.network.named_parameters():

@@ -1,4 +1,4 @@
-"""What a network's scores are held against."""
+"""Loss functions."""
 
 from typing import TYPE_CHECKING
 
@@ -18,7 +18,7 @@ def loss_of(
     """Return the loss of a batch.
 
     Args:
-        scores: What the network said, and its auxiliary head.
+        scores: Those of the network, and of its auxiliary head.
         classes: Probabilities (N, classes, h, w) at a fourth of the size.
         weight: 1 where they are known (N, h, w).
         network: Says how scores are enlarged to labels.

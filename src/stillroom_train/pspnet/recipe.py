@@ -18,7 +18,7 @@ class Variation:
         colors: Whether brightness, contrast, saturation and white balance change, and now and then all colour goes.
         blurs: Share of pictures that are blurred as by focus or motion.
         noisy: Share of pictures with a cheap camera's noise.
-        strangers: Share of empty rooms into which somebody from another picture is put.
+        strangers: Share of empty rooms into which a person from another picture is pasted.
     """
 
     smallest: float = 0.6

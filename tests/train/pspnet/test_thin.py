@@ -109,7 +109,7 @@ def test_impossible_shares_and_no_pictures_are_refused() -> None:
     network, weights = architecture("mobilenetv2"), random_weights("mobilenetv2")
     with pytest.raises(ConfigError, match=r"thin is 0\.9"):
         thin(network, weights, 0.9, noise())
-    with pytest.raises(ConfigError, match=r"of resnet50 at most 0\.00 can be spared, as its convolutions have batch"):
+    with pytest.raises(ConfigError, match=r"of resnet50 at most 0\.00 can be pruned, as its convolutions have batch"):
         thin(architecture("resnet50"), random_weights("resnet50"), 0.1, noise())
     with pytest.raises(DatasetError, match="--pictures"):
         thin(network, weights, 0.2, [])

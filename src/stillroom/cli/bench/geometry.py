@@ -88,8 +88,8 @@ def ablation(
 ) -> None:
     """Compare network only, geometry only, both, both with the ants, and a plain with the compensated homography.
 
-    On rendered sequences it also counts what is found of all that moves, and of what somebody carries or pushes, which
-    no network names.
+    On rendered sequences it also counts what is found of all that moves, and of objects that people carry or push,
+    which are in no class of the network.
 
     Nine runs of each sequence, with the network that comes with Stillroom: 560 images take some six minutes of one
     core, longer when kernels are compiled first.

@@ -27,7 +27,7 @@ class Marks(threading.local):
         self._number = 0
 
     def fresh(self, n_points: int) -> tuple[I64, int]:
-        """Return marks of at least so many points, and a number that none of them has."""
+        """Return marks of at least `n_points` points, and a number that none of them has."""
         if len(self._marks) < n_points:
             self._marks = np.zeros(2 * n_points, dtype=np.int64)
         self._number += 1

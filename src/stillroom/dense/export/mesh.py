@@ -36,8 +36,8 @@ class MeshConfig:
     Attributes:
         cell_voxels: Edge of the cells that triangles are made in, in voxels of the cloud. More is coarser, and closes
             larger holes.
-        min_points: Surfaces lie in the 3×3×3 cells around points, and no further from them; but only around points
-            that have so many in the 5×5×5 cells around: a lone one makes no surface.
+        min_points: Surfaces lie in the 3×3×3 cells around points, and no further from them; but only around points with
+            at least this many in the 5×5×5 cells around: an isolated one makes no surface.
         max_weight: A point is weighted by its number of pixels, up to here.
     """
 

@@ -216,7 +216,7 @@ def search(
 
 
 def _communities(points_px: F64, community: I64, least: int) -> tuple[tuple[F64, ...], tuple[I64, ...]]:
-    """Return hulls and members of the communities (N,) that have at least so many points."""
+    """Return hulls and members of the communities (N,) that have at least `least` points."""
     grouped = from_left(points_px, np.flatnonzero(community != NONE))
     number, hull_px = community[grouped], np.empty((len(grouped) + 1, 2))
     hulls, members = [], []

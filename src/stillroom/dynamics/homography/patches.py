@@ -79,7 +79,7 @@ def find_patch(
     Args:
         now, at: Image (h, w), and x and y of the point in it [px].
         then, guess: The other image, and x and y of the guess [px].
-        iterations: At most so many steps.
+        iterations: Most steps.
         scratch: Room for patches (4, N_PIXELS).
         found: Where the patch is (2,) [px]; filled in.
 

@@ -94,7 +94,7 @@ class PlaceIndex:
     """
 
     def __init__(self, n_words: int) -> None:
-        """Start empty, for a vocabulary of so many words."""
+        """Start empty, for a vocabulary of `n_words` words."""
         self.n_words = n_words
         self._entries, self._members, self._nodes = _BagEntries(65536), _Members(256), _Nodes(65536)
         self._first_block: I32 = np.full(n_words, -1, dtype=np.int32)
@@ -200,7 +200,7 @@ class PlaceIndex:
         return slice(start, start + int(self._members.n_words[keyframe]))
 
     def _reserve(self, n_words: int) -> None:
-        """Make room for as many blocks as a keyframe with so many words may need."""
+        """Reserve the blocks that a keyframe with `n_words` words may need."""
         while self._counts[N_BLOCKS] + n_words > len(self._blocks):
             self._blocks = np.concatenate((self._blocks, np.empty_like(self._blocks)))
 
@@ -310,7 +310,7 @@ class PlacesConfig:
 
     Attributes:
         vocabulary: The file of the vocabulary, from `stillroom train-vocabulary`; None for the one that is shipped.
-        grow_every: The tree grows on the run's own keyframes each time that so many have come; 0: never.
+        grow_every: Keyframes after which the tree is grown again on the run's own keyframes; 0: never.
         growth: How it grows.
     """
 

@@ -1,1 +1,1 @@
-"""Those who walk about: bodies, clothes, gait, and who goes where."""
+"""People: bodies, clothes, gait, and their paths."""

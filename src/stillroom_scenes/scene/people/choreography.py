@@ -1,4 +1,4 @@
-"""Who is in the room and what they do: the presets of `figures=`.
+"""The people in the room and their actions: the presets of `figures=`.
 
 The camera's home is at y ≈ −1.5, looking towards +y; figures keep to the middle of the room, where no furniture stands.
 """
@@ -45,7 +45,7 @@ class Handling:
 
 @dataclass(frozen=True)
 class Cast:
-    """Everyone who plays.
+    """All people and handled objects.
 
     Attributes:
         scripts: One for each figure.
@@ -110,7 +110,7 @@ def _standing(rng: np.random.Generator, stage: Stage) -> Cast:
 
 
 def _carried(rng: np.random.Generator, stage: Stage) -> Cast:
-    """One takes a box from a table on the left, carries it to one on the right, and goes away; another looks on."""
+    """One takes a box from a table on the left, carries it to one on the right, and goes away; another watches."""
     left, right = stage.at(-1.0, 1.2), stage.at(1.0, 1.25)
     speed = float(rng.uniform(0.5, 0.65))
     carrier = Script(stage.at(0.1, 0.4), LEFT).stand(0.6, LEFT)
@@ -163,11 +163,11 @@ FIGURES: dict[str, Callable[[np.random.Generator, Stage], Cast]] = {
 
 
 def cast_for(figures: str, seed: int, stage: Stage) -> Cast:
-    """Return who plays.
+    """Return the cast.
 
     Args:
         figures: One of `FIGURES`.
         seed: Chooses speeds and pauses.
-        stage: Where they play.
+        stage: The part of the floor that they use.
     """
     return FIGURES[figures](np.random.default_rng([seed, 23]), stage)

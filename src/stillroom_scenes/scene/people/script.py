@@ -65,7 +65,7 @@ def heading_to(start_m: Point, end_m: Point) -> float:
 
 
 class Script:
-    """The way of one figure. Legs are added in order; after the last it goes on at the loop's first."""
+    """The path of one figure. Legs are added in order; after the last it continues with the loop's first."""
 
     def __init__(self, start_m: Point, heading_rad: float) -> None:
         self.legs: list[Leg] = []

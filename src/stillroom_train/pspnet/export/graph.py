@@ -13,7 +13,7 @@ LARGEST_FLOAT16 = 65504.0
 
 
 class Graph:
-    """An ONNX graph in the making. Values are known by name; each method adds nodes that make one."""
+    """An ONNX graph under construction. Values are known by name; each method adds nodes that make one."""
 
     def __init__(self, half: bool) -> None:
         """Begin with nothing.

@@ -1,4 +1,4 @@
-"""What a network's values are like on pictures: their second moments."""
+"""Second moments of a network's activations on pictures."""
 
 from collections.abc import Iterable, Mapping, Sequence
 
@@ -11,7 +11,7 @@ from stillroom_train.pspnet.export.network_file import written
 from stillroom_train.pspnet.networks.steps import IMAGE, Architecture
 
 _PIXELS = 400
-"""Pixels of a value that are looked at in each picture, at most; neighbours say much the same."""
+"""Most pixels of a value that are sampled in each picture; neighbours are correlated."""
 
 
 def second_moments(
@@ -47,5 +47,5 @@ def second_moments(
             seen = np.vstack([pixels[:, some], np.ones((1, len(some)))]).astype(np.float64)
             sums[value] += seen @ seen.T / len(some)
     if count == 0:
-        raise DatasetError("no pictures to see on which channels can be spared; name a folder with --pictures")
+        raise DatasetError("no pictures to see on which channels can be pruned; name a folder with --pictures")
     return {value: total / count for value, total in sums.items()}

@@ -1,4 +1,4 @@
-"""The same network with less work: what convolutions can be spared without changing what it says."""
+"""Exact simplifications of a network: convolutions that can be removed without changing its output."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -12,12 +12,12 @@ Slimmed = tuple[Architecture, dict[str, F32]]
 
 
 def slim(network: Architecture, weights: Mapping[str, F32]) -> Slimmed:
-    """Return a network that says the same, and its weights."""
+    """Return a network with the same output, and its weights."""
     return _project_late(*_without_idle_channels(network, dict(weights)))
 
 
 def _project_late(network: Architecture, weights: dict[str, F32]) -> Slimmed:
-    """Spare the projection before the pyramid.
+    """Remove the projection before the pyramid.
 
     It is linear, and means of a projection are projections of means: the pyramid takes its means before it and projects
     those few, and the 1×1 convolutions that read it take it into themselves.

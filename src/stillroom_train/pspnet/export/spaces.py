@@ -1,4 +1,4 @@
-"""Channels that can only go together: what makes them, what reads them, and what one of them costs."""
+"""Channels that can only be pruned together: their producers, their consumers, and the work of each."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -20,7 +20,7 @@ from stillroom_train.pspnet.networks.steps import (
 )
 
 DEPTHWISE = 4.0
-"""A multiplication of a depthwise convolution takes as long as four others: it waits for memory (onnxruntime, AVX2)."""
+"""A multiplication of a depthwise convolution takes as long as four others: it is memory-bound (onnxruntime, AVX2)."""
 
 
 @dataclass(frozen=True)

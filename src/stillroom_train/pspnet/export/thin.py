@@ -1,10 +1,10 @@
-"""A smaller network that says nearly the same: channels that others can stand in for are left out.
+"""Pruning: channels that others can compensate for are left out.
 
-A channel may go where the 1×1 convolutions that read it can make up for it from the others. Which, and how, is a
-problem of least squares over what the channels say on pictures: remove the channel that costs least once all weights
-that read the others have been refitted, and so on (the optimal brain surgeon, Hassibi and Stork, NIPS 1992, for whole
-channels). Where in the network, is decided by how much work a channel is and how much is lost without it, as a share of
-the variance of what reads it. Nothing is learnt again.
+A channel can be pruned where the 1×1 convolutions that read it can compensate with the others. Which, and how, is a
+least-squares problem over the activations on pictures: remove the channel that costs least once all weights that read
+the others have been refitted, and so on (the optimal brain surgeon, Hassibi and Stork, NIPS 1992, for whole channels).
+Where in the network, is decided by how much work a channel is and how much is lost without it, as a share of the
+variance of what reads it. There is no retraining.
 """
 
 from collections.abc import Iterable, Mapping
@@ -20,11 +20,11 @@ from stillroom_train.pspnet.export.spaces import Space, spaces, work_of
 from stillroom_train.pspnet.networks.steps import AUXILIARY, Architecture, Conv, Step
 
 LOT = 8
-"""Channels are left out in lots of this many: onnxruntime computes so many at once, and would pad others."""
+"""Channels are pruned in groups of this size: onnxruntime computes that many at once, and would pad others."""
 
 MOST = 0.6
 _DAMPING = 1e-4
-"""Of the mean variance, added to each channel's: what it says on a few pictures is not all that it ever says."""
+"""Of the mean variance, added to each channel's: a few pictures do not cover its whole distribution."""
 
 
 def thin(network: Architecture, weights: Mapping[str, F32], share: float, pictures: Iterable[F32]) -> Slimmed:
@@ -33,7 +33,7 @@ def thin(network: Architecture, weights: Mapping[str, F32], share: float, pictur
     Args:
         network: The steps; the auxiliary head is forgotten.
         weights: By name.
-        share: How much of the work is to be spared.
+        share: Share of the work to prune.
         pictures: Inputs of the network (1, 3, H, W), of the kind that it will see.
 
     Raises:
@@ -61,7 +61,7 @@ def _check_room(network: Architecture, found: list[Space], share: float) -> None
     most = sum(LOT * _most_lots(space) * space.work for space in found) / sum(work_of(network).values())
     if share > most:
         raise ConfigError(
-            f"thin is {share}; of {network.name} at most {most:.2f} can be spared"
+            f"thin is {share}; of {network.name} at most {most:.2f} can be pruned"
             + ("" if found else ", as its convolutions have batch norm")
         )
 
@@ -81,12 +81,12 @@ class _Problem:
 
 
 def removals(moments: F64, read: F64, n_removed: int) -> tuple[Ints, F64]:
-    """Return which channels go, the one that is missed least first, and what is lost in all after each (n_removed,).
+    """Return the channels to prune, the least important first, and the total loss after each (n_removed,).
 
     Args:
         moments: Second moments of the channels and of a last one that is always 1 (C + 1, C + 1).
         read: Weights of all that reads them, the bias last (M, C + 1).
-        n_removed: How many go.
+        n_removed: Number of channels to prune.
 
     Returns:
         Numbers of channels, and the mean square of the difference that the best refit leaves.
@@ -156,7 +156,7 @@ def _variance(moments: F64) -> float:
 
 
 def _shared_out(problems: list[_Problem], spared: float) -> list[Bool]:
-    """Return which channels of each space stay: they go lot by lot where the least is lost for the work."""
+    """Return which channels of each space stay: groups are pruned where the loss per work is least."""
     orders, losses = [], []
     for problem in problems:
         gone, lost = removals(problem.moments, problem.read, LOT * _most_lots(problem.space))

@@ -1,4 +1,4 @@
-"""One picture in many ways: moved, scaled, turned, in other light, blurred, with somebody else in it."""
+"""Data augmentation: translation, scale, rotation, brightness, blur, pasted people."""
 
 from dataclasses import dataclass, replace
 
@@ -13,7 +13,7 @@ LABEL_STRIDE = 4
 """Pixels of the crop per pixel of its labels, which lie at 0, 4, 8 …"""
 
 SURE_PERSON = 0.6
-"""From here on the teacher counts as having seen somebody whom the mask leaves out."""
+"""Probability from which the teacher's label counts as a person missing in the mask."""
 FAR_PX = 13
 PERSON = 15
 
@@ -90,7 +90,7 @@ def _placement(size: tuple[int, int], crop: tuple[int, int], variation: Variatio
 
 
 def _softened(image: U8, shrinks: float) -> U8:
-    """Return an image without what shrinking it so many times would turn into noise."""
+    """Return an image, low-pass filtered for subsampling by a factor."""
     return image if shrinks < 1.3 else np.asarray(cv2.GaussianBlur(image, (0, 0), 0.4 * shrinks), dtype=np.uint8)
 
 
@@ -128,7 +128,7 @@ def _warped_classes(example: Example, to_picture: F64, crop: tuple[int, int]) ->
 
 
 def _left_out(person: F32, said: F32) -> "np.ndarray[tuple[int, int], np.dtype[np.bool_]]":
-    """Return where the teacher sees somebody far from all people of the mask."""
+    """Return where the teacher finds a person far from all people of the mask."""
     near = cv2.dilate(person, np.ones((FAR_PX, FAR_PX), np.uint8)) > 0.1
     return np.asarray((said > SURE_PERSON) & ~near)
 

@@ -1,1 +1,1 @@
-"""A method at work: from a name and a camera to poses, what moves, and maps, image by image."""
+"""A method applied to images: from a name and a camera to poses, moving pixels and maps."""

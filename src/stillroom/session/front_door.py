@@ -1,4 +1,4 @@
-"""What `import stillroom` offers beside `Slam`: cameras by name, figures, methods, and maps read back."""
+"""Functions of `import stillroom`: cameras by name, evaluation, methods, and map files."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""What a run does with a map file: make it, go on in it, or track against it."""
+"""How a run uses a map file: it makes it, extends it, or tracks against it."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -29,7 +29,7 @@ class MapUse(StrEnum):
     NEW = "new"
     """Make it, and write it as it grows."""
     CONTINUE = "continue"
-    """Begin by recognising the place, and go on in the map; write it as it grows."""
+    """Relocalize in the map first, and extend it; write it as it grows."""
     LOCALIZE = "localize"
     """Track against it as it is; the file is read once, and nothing is written."""
 

@@ -1,4 +1,4 @@
-"""The settings of the whole process that runs ask for, held while any system is open and then put back.
+"""Settings of the whole process that runs need: set while any system is open, restored afterwards.
 
 Libraries that split one small task over many threads lose more than they win here, and add up numbers in another order
 on another machine. onnxruntime's sessions are made with one thread each, and need no setting of the process.

@@ -1,4 +1,4 @@
-"""The front door: a method at work on one camera's images, from Python as from the command line."""
+"""`Slam`: a method applied to the images of one camera, from Python and from the command line."""
 
 import logging
 import weakref
@@ -43,16 +43,16 @@ class Slam:
                 result = slam.process(image)
         slam.trajectory().write_tum("trajectory.tum")
 
-    As a context it closes itself; what it has mapped can be asked for afterwards all the same. While any is open,
-    OpenCV and BLAS are held to one thread each; when the last one closes, they have their threads back. Several may be
-    open at a time, on one thread or on several: each gives what it gives alone.
+    As a context it closes itself; trajectory and maps remain available. While any is open, OpenCV and BLAS are limited
+    to one thread each; the last one to close restores their settings. Several may be open at a time, on one thread or
+    on several: the results of each do not depend on the others.
 
     Attributes:
-        config: All that the method was set to.
+        config: The whole configuration.
         camera: The calibration of the images.
-        clock: What the stages cost.
-        system: The stages themselves, and the map that they share.
-        doubts: What is probably wrong with calibration or depth; each was said once in the log.
+        clock: Times of the stages.
+        system: The stages, and the map that they share.
+        doubts: What is probably wrong with calibration or depth; each was logged once.
     """
 
     def __init__(
@@ -68,19 +68,19 @@ class Slam:
         observers: Iterable[RunObserver] = (),
         sequence: str = "images from Python",
     ) -> None:
-        """Make a system ready for its first image.
+        """Initialise the system.
 
         Args:
             method: A method's name (`stillroom methods` lists them), or a whole configuration.
             camera: The calibration of the images to come.
-            seed: Where every random choice starts; 0, or the configuration's, where not given.
+            seed: Seed of all random choices; by default the configuration's, which is 0 in all presets.
             settings: Single values of the configuration, such as "tracking.min_inliers=20".
             map: A map file: written as the map grows, unless `map_use` says otherwise.
-            map_use: "new" makes the file; "continue" begins by recognising the place and goes on in the map; "localize"
-                tracks against the map as it is and writes nothing.
-            segmenter: Says what may move, in the place of the method's own.
-            observers: Told of each frame after it was tracked.
-            sequence: What the images are called, in a map file and in messages.
+            map_use: "new" makes the file; "continue" relocalizes in the map first and extends it; "localize" tracks
+                against the map and writes nothing.
+            segmenter: Finds what is potentially dynamic, in place of the method's own segmenter.
+            observers: Called with each frame after it was tracked.
+            sequence: Name of the images in a map file and in messages.
 
         Raises:
             ConfigError: A method, a key or a value is wrong.
@@ -115,11 +115,11 @@ class Slam:
         self.doubt(doubts_of_camera(camera))
 
     def observe(self, observer: RunObserver) -> None:
-        """Tell somebody of each frame from now on; what that costs is not counted as the frame's."""
+        """Call an observer with each frame from now on; its time does not count as the frame's."""
         self._observers.append(observer)
 
     def doubt(self, doubts: Iterable[Doubt]) -> None:
-        """Say what is probably wrong, and keep it."""
+        """Log what is probably wrong, and keep it in `doubts`."""
         for each in doubts:
             log.warning("%s", each)
             self.doubts.append(each)
@@ -153,7 +153,7 @@ class Slam:
         return result
 
     def close(self) -> None:
-        """Finish the work that is under way, let the map come to rest, and complete the map file.
+        """Finish pending work, optimise the whole map a last time, and complete the map file.
 
         Raises:
             MapError: The map file cannot be completed; what was committed is in it.
@@ -210,7 +210,7 @@ class Slam:
         return cloud
 
     def save_map(self, path: str | Path) -> None:
-        """Write the sparse map into a new file, to go on in it or to localize against it another day.
+        """Write the sparse map into a new file, to extend it or to localize in it later.
 
         Raises:
             MapError: There is such a file already, it cannot be written, or there is no keyframe to write.
@@ -254,7 +254,7 @@ class Slam:
 
 
 class _Newest:
-    """Keeps the newest frame until its time is taken, so that who looks on costs the frame nothing."""
+    """Keeps the newest frame until its time is taken, so that observers do not count as the frame's time."""
 
     def __init__(self) -> None:
         self._seen: tuple[Tracked, Semantics, FrameResult] | None = None
@@ -263,7 +263,7 @@ class _Newest:
         self._seen = (tracked, semantics, result)
 
     def show(self, observers: Iterable[RunObserver]) -> None:
-        """Let them look at it."""
+        """Call the observers with it."""
         if self._seen is not None:
             for observer in observers:
                 observer.on_frame(*self._seen)

@@ -14,7 +14,7 @@ from stillroom.config import SlamConfig
 from stillroom.data.trajectory import read_tum
 from stillroom.datasets.selection import select
 from stillroom.pipeline import RunOptions, results, run
-from stillroom.pipeline.run import StopRequest
+from stillroom.pipeline.stop_request import StopRequest
 from stillroom.protocols import Dataset
 
 

@@ -1,13 +1,10 @@
 """Run a method over a sequence."""
 
 import logging
-import signal
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from types import FrameType, TracebackType
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -19,6 +16,7 @@ from stillroom.pipeline import results
 from stillroom.pipeline.evaluating import evaluate_trajectory
 from stillroom.pipeline.options import RunOptions, RunOutcome
 from stillroom.pipeline.plots import draw_maps, draw_plots
+from stillroom.pipeline.stop_request import StopRequest
 from stillroom.protocols import Dataset, RunObserver
 from stillroom.semantics.detector import withhold
 from stillroom.semantics.mask_files import MaskFilesConfig
@@ -33,63 +31,6 @@ log = logging.getLogger(__name__)
 MAX_UNREADABLE = 10
 BLACK_BELOW = 8
 LOADING = "loading"
-
-
-# Ctrl-C in the middle of a run.
-
-
-class StopRequest:
-    """Turns the first Ctrl-C of a block into a flag; the second interrupts at once; while held, none does.
-
-    A frame that is begun is finished, so that map and trajectory are whole when they are written. Signals reach the
-    main thread only: on another one this does nothing.
-    """
-
-    def __init__(self) -> None:
-        self.asked = False
-        self._is_held = False
-        self._previous: Any = None
-        self._tellers: list[threading.Thread] = []
-
-    def __enter__(self) -> "StopRequest":
-        """Listen."""
-        if threading.current_thread() is threading.main_thread():
-            self._previous = signal.signal(signal.SIGINT, self._on_signal)
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
-        """Give the signal back to whoever had it."""
-        if self._previous is not None:
-            signal.signal(signal.SIGINT, self._previous)
-        for teller in self._tellers:
-            teller.join()
-
-    def hold(self) -> None:
-        """From now on let no Ctrl-C interrupt: what was tracked is being written."""
-        self._is_held = True
-
-    def _on_signal(self, number: int, frame: FrameType | None) -> None:
-        if self._is_held:
-            self.asked = True
-            self._tell("the results are being written, which takes a moment")
-            return
-        if self.asked:
-            self.hold()  # Or a third one could come before the results are begun.
-            raise KeyboardInterrupt
-        self.asked = True
-        self._tell("stopping after this frame; Ctrl-C again stops at once")
-
-    def _tell(self, text: str) -> None:
-        """Warn from another thread.
-
-        A signal may come in the middle of a line that this thread is writing to where the warning goes, and a writer
-        must not be called again from within itself.
-        """
-        teller = threading.Thread(target=log.warning, args=(text,))
-        self._tellers.append(teller)
-        teller.start()
 
 
 # Who is told how a run gets on, and what the log says of it.
@@ -163,7 +104,8 @@ def run(
 ) -> RunOutcome:
     """Track every image of a sequence, write the results, and measure them against the ground truth.
 
-    Ctrl-C, or an error in the middle, ends it early; what there is by then is written all the same.
+    Ctrl-C, a request to terminate (SIGTERM), a console that is closed (SIGHUP), or an error in the middle ends it
+    early; what there is by then is written all the same.
 
     Args:
         dataset: The sequence.
@@ -233,7 +175,7 @@ def _track_all(dataset: Dataset, slam: Slam, outcome: RunOutcome, stop: StopRequ
 def _concluded_in_any_case(
     outcome: RunOutcome, dataset: Dataset, stop: StopRequest, with_plots: bool
 ) -> Iterator[None]:
-    """Evaluate and write what there is when the block ends, however it ends; Ctrl-C is too late then to prevent it."""
+    """Evaluate and write what there is when the block ends, however it ends; no signal prevents it then."""
     try:
         yield
         stop.hold()

@@ -10,6 +10,7 @@ from stillroom.datasets.selection import parse_range, select
 from stillroom.errors import ConfigError
 from stillroom.evaluation.report import Evaluation
 from stillroom.evaluation.timing import StageClock
+from stillroom.pipeline.ornaments import Ornaments
 from stillroom.protocols import Dataset, RunObserver, Segmenter
 from stillroom.session.map_file import MapFile
 from stillroom.system import System
@@ -31,6 +32,7 @@ class RunOutcome:
         interrupted: Whether it was stopped before the last image.
         bad: Number and time [s] of each image that cannot be read.
         pictures: What was drawn.
+        ornaments: Counts the pictures that could not be drawn.
         map_file: Where the map was kept; None where it was not.
         masks: The folder that the moving pixels of each frame were written into; None where they were not.
     """
@@ -44,6 +46,7 @@ class RunOutcome:
     interrupted: bool = False
     bad: list[tuple[int, float]] = field(default_factory=list)
     pictures: tuple[Path, ...] = ()
+    ornaments: Ornaments = field(default_factory=Ornaments)
     map_file: Path | None = None
     masks: Path | None = None
 

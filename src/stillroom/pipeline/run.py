@@ -15,6 +15,7 @@ from stillroom.errors import ConfigError, FrameError
 from stillroom.pipeline import results
 from stillroom.pipeline.evaluating import evaluate_trajectory
 from stillroom.pipeline.options import RunOptions, RunOutcome
+from stillroom.pipeline.ornaments import Ornamental
 from stillroom.pipeline.plots import draw_maps, draw_plots
 from stillroom.pipeline.stop_request import StopRequest
 from stillroom.protocols import Dataset, RunObserver
@@ -136,7 +137,7 @@ def run(
         )
         if folder is not None:
             results.write_config(folder, dataset, slam.config, options)
-        slam.observe(_recorder(folder, dataset, options.pictures))
+        slam.observe(Ornamental(_recorder(folder, dataset, options.pictures), outcome.ornaments))
         if options.masks is not None:
             slam.observe(MaskWriter(options.masks))
         if options.observe is not None:
@@ -179,6 +180,7 @@ def _concluded_in_any_case(
     try:
         yield
         stop.hold()
+        outcome.interrupted |= stop.asked
     except KeyboardInterrupt:
         outcome.interrupted = True
     except BaseException:
@@ -194,16 +196,16 @@ def _conclude(outcome: RunOutcome, dataset: Dataset, with_plots: bool) -> None:
     outcome.evaluation = evaluate_trajectory(trajectory, truth, outcome.n_given)
     if folder is None:
         return
-    results.write_results(folder, outcome, truth)
-    outcome.system.dense_mapper.refresh()
-    cloud = outcome.system.dense_mapper.cloud()
-    if cloud is not None:
-        results.write_dense_map(folder, cloud)
+    cloud = results.write_results(folder, outcome, truth)
     title = f"{outcome.method} on {dataset.name}"
+    n_told, ornaments = outcome.ornaments.n_failed, outcome.ornaments
     if with_plots:
-        draw_maps(folder / results.PICTURES, outcome.system, cloud, title)
+        draw_maps(folder / results.PICTURES, outcome.system, cloud, title, ornaments)
     if with_plots and truth is not None and outcome.evaluation is not None:
-        draw_plots(folder / results.PICTURES, {outcome.method: trajectory}, truth.as_given, title)
+        draw_plots(folder / results.PICTURES, {outcome.method: trajectory}, truth.as_given, title, ornaments)
+    if ornaments.n_failed > n_told:
+        with ornaments.drawing():  # the figures are there already, but for this count
+            results.write_run_metrics(folder, outcome)
     outcome.pictures = tuple(sorted((folder / results.PICTURES).glob("*.png")))
 
 

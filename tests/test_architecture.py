@@ -44,7 +44,7 @@ LEVELS = {
     "bench": 10,
     "cli": 11,
 }
-FREE_TO_ALL = {"bounds", "compiled", "errors", "version", "__init__"}
+FREE_TO_ALL = {"bounds", "compiled", "errors", "stopping", "version", "__init__"}
 LOOKS_BELOW = {"compiled": 2}
 """What is free to all looks into no room, but for these, which may look into rooms below this level: machine code is
 kept in the cache folder, of which `data` knows."""

@@ -14,7 +14,7 @@ from stillroom.config import SlamConfig
 from stillroom.data.trajectory import read_tum
 from stillroom.datasets.selection import select
 from stillroom.pipeline import RunOptions, results, run
-from stillroom.pipeline.run import StopRequest
+from stillroom.pipeline.stop_request import StopRequest
 from stillroom.protocols import Dataset
 
 
@@ -101,10 +101,10 @@ def test_ctrl_c_at_the_end_costs_nothing(
     where = results if place == "write_results" else importlib.import_module("stillroom.pipeline.run")
     honest = getattr(where, place)
 
-    def pressed(*given: object) -> object:
+    def pressed(*given: object, **named: object) -> object:
         press()
         press()
-        return honest(*given)
+        return honest(*given, **named)
 
     monkeypatch.setattr(where, place, pressed)
     outcome = run(select(room, ":4"), SlamConfig(), RunOptions(folder=tmp_path, pictures=1))

@@ -17,9 +17,10 @@ from typing import Annotated, Any
 import typer
 
 from stillroom.cli.installed import ALONE, GROUP, BySecondWord, installed, summary_of
+from stillroom.cli.streams import flush_all
 from stillroom.errors import StillroomError
+from stillroom.stopping import INTERRUPTED, as_ctrl_c, exit_code
 
-INTERRUPTED = 130
 ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 """numpy's BLAS reads these when it is imported. One thread: results are repeatable, and the cores are left to the
 stages.
@@ -156,7 +157,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Run a command; a known error ends in one red line.
 
     Raises:
-        SystemExit: Always: 0, 1 after an error, 2 after wrong usage, 130 after Ctrl-C.
+        SystemExit: Always: 0; 1 after an error; 2 after wrong usage; 3 after a run that tracked nothing; 130 after
+            Ctrl-C, 143 after SIGTERM, 129 after SIGHUP.
     """
     _print_any_character()
     for name in ONE_THREAD:
@@ -165,15 +167,21 @@ def main(arguments: Sequence[str] | None = None) -> None:
     # Before a command there are only --help and --version, after which none is run.
     words = [] if given and given[0].startswith("-") else [word for word in given if not word.startswith("-")]
     chosen, following, *_ = [*words, None, None]
+    code: str | int | None = INTERRUPTED
     try:
-        application(chosen, following)(args=given, prog_name="stillroom")
+        with as_ctrl_c():
+            application(chosen, following)(args=given, prog_name="stillroom")
     except StillroomError as error:
         from stillroom.cli.output import print_error
 
         print_error(str(error))
-        sys.exit(1)
+        code = 1
+    except SystemExit as left:
+        code = left.code
     except KeyboardInterrupt:
-        sys.exit(INTERRUPTED)
+        pass
+    flush_all()
+    sys.exit(exit_code() if code == INTERRUPTED else code)
 
 
 def _print_any_character() -> None:

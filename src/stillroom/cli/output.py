@@ -4,6 +4,7 @@ import logging
 import time
 from collections import deque
 from collections.abc import Iterable, Sequence
+from typing import TextIO, cast
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
@@ -19,6 +20,7 @@ from rich.progress import (
 )
 from rich.table import Table
 
+from stillroom.cli.streams import Unbreakable
 from stillroom.data.result import FrameSummary, TrackingState
 from stillroom.evaluation.report import HEADER, Evaluation, lines, rows
 
@@ -29,7 +31,7 @@ WIDTH_WITHOUT_TERMINAL = 120
 
 
 def _console(stderr: bool) -> Console:
-    console = Console(stderr=stderr)
+    console = Console(file=cast(TextIO, Unbreakable("stderr" if stderr else "stdout")), stderr=stderr)
     if not console.is_terminal:
         console.width = max(console.width, WIDTH_WITHOUT_TERMINAL)
     return console

@@ -8,12 +8,14 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from io import StringIO
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar, cast
 
 import cv2
 import numpy as np
 
+from stillroom.data.replacing import replace_text
 from stillroom.geometry.arrays import U8
 
 P = ParamSpec("P")
@@ -133,17 +135,22 @@ class StageClock:
         return sorted(summaries, key=lambda summary: -summary.cpu_mean_ms)
 
     def write_csv(self, path: Path) -> None:
-        """Write a line for each frame, and for each stage its wall and CPU time [ms]; empty where it did not run."""
+        """Write a line for each frame, and for each stage its wall and CPU time [ms]; empty where it did not run.
+
+        Raises:
+            StillroomError: The file cannot be written; what was there is there still.
+        """
         stages = self._stages()
-        with path.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file)
-            writer.writerow(["frame", *(f"{name}_{kind}_ms" for name in stages for kind in ("wall", "cpu"))])
-            for index, costs in self._frames:
-                cells: list[str] = []
-                for name in stages:
-                    cost = costs.get(name)
-                    cells += ["", ""] if cost is None else [_ms(cost.wall_ns), _ms(cost.cpu_ns)]
-                writer.writerow([index, *cells])
+        text = StringIO(newline="")
+        writer = csv.writer(text)
+        writer.writerow(["frame", *(f"{name}_{kind}_ms" for name in stages for kind in ("wall", "cpu"))])
+        for index, costs in self._frames:
+            cells: list[str] = []
+            for name in stages:
+                cost = costs.get(name)
+                cells += ["", ""] if cost is None else [_ms(cost.wall_ns), _ms(cost.cpu_ns)]
+            writer.writerow([index, *cells])
+        replace_text(path, text.getvalue())
 
     def _stages(self) -> list[str]:
         """Return the names of all stages, in the order in which they first ended."""

@@ -11,6 +11,7 @@ from stillroom.datasets.selection import parse_range, select
 from stillroom.errors import ConfigError
 from stillroom.evaluation.report import Evaluation
 from stillroom.evaluation.timing import StageClock
+from stillroom.pipeline.ornaments import Ornaments
 from stillroom.protocols import Dataset, RunObserver, Segmenter
 from stillroom.session.map_file import MapFile
 from stillroom.session.plausibility import Doubt
@@ -35,6 +36,7 @@ class RunOutcome:
         interrupted: Whether it was stopped before the last image.
         bad: Number and time [s] of each image that cannot be read.
         pictures: What was drawn.
+        ornaments: Counts the pictures that could not be drawn.
         map_file: Where the map was written; None if it was not.
         masks: The folder of the masks of dynamic pixels of each frame; None if none were written.
         doubts: What is probably wrong with calibration, depth or times; each was said in the log.
@@ -51,6 +53,7 @@ class RunOutcome:
     interrupted: bool = False
     bad: list[tuple[int, float]] = field(default_factory=list)
     pictures: tuple[Path, ...] = ()
+    ornaments: Ornaments = field(default_factory=Ornaments)
     map_file: Path | None = None
     masks: Path | None = None
     doubts: list[Doubt] = field(default_factory=list)

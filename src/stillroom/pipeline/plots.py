@@ -10,6 +10,7 @@ from stillroom.data.map import submaps
 from stillroom.data.trajectory import Trajectory
 from stillroom.evaluation.time_matching import TimeMatching
 from stillroom.evaluation.trajectory_errors import ate
+from stillroom.pipeline.ornaments import Ornaments
 from stillroom.system import System
 from stillroom.viz.cloud.render import CloudRendererConfig
 from stillroom.viz.cloud.view import default_view
@@ -27,6 +28,7 @@ def draw_plots(
     groundtruth: Trajectory,
     title: str,
     matching: TimeMatching | None = None,
+    ornaments: Ornaments | None = None,
 ) -> tuple[Path, ...]:
     """Draw trajectories against the ground truth, from above and over time, and their errors.
 
@@ -36,40 +38,56 @@ def draw_plots(
         groundtruth: The true poses; only the part that the first estimate covers is drawn.
         title: Shown above.
         matching: How poses find each other in time.
+        ornaments: Takes note of what cannot be drawn.
 
     Returns:
-        The PNG files.
+        The PNG files that were written.
 
     Raises:
         TrajectoryError: One of them cannot be compared with the ground truth.
-        StillroomError: A file cannot be written.
     """
-    matching = matching or TimeMatching()
+    matching, ornaments = matching or TimeMatching(), ornaments or Ornaments()
     compared = {
         name: ate(*matching.match(estimate, groundtruth), matching.max_gap_s) for name, estimate in estimates.items()
     }
     judged = next(iter(compared.values()))
     aligned = {name: error.aligned for name, error in compared.items()}
-    plot_from_above(folder / ABOVE, aligned, judged.groundtruth, title)
-    plot_over_time(folder / OVER_TIME, aligned, judged.groundtruth, title)
     errors = {name: (error.groundtruth.timestamps_s, error.errors_m) for name, error in compared.items()}
-    plot_error(folder / ERROR, errors, judged.still_camera_m, title)
-    return folder / ABOVE, folder / OVER_TIME, folder / ERROR
+    drawn: list[Path] = []
+    with ornaments.drawing():
+        plot_from_above(folder / ABOVE, aligned, judged.groundtruth, title)
+        drawn.append(folder / ABOVE)
+    with ornaments.drawing():
+        plot_over_time(folder / OVER_TIME, aligned, judged.groundtruth, title)
+        drawn.append(folder / OVER_TIME)
+    with ornaments.drawing():
+        plot_error(folder / ERROR, errors, judged.still_camera_m, title)
+        drawn.append(folder / ERROR)
+    return tuple(drawn)
 
 
-def draw_maps(folder: Path, system: System, cloud: DenseCloud | None, title: str) -> None:
+def draw_maps(
+    folder: Path, system: System, cloud: DenseCloud | None, title: str, ornaments: Ornaments | None = None
+) -> None:
     """Draw the main sub-map, sparse and, where there is one, dense; nothing before there is a keyframe.
 
-    Raises:
-        StillroomError: A file cannot be written.
+    Args:
+        folder: Where to; it is made.
+        system: Whose map it is.
+        cloud: The dense map; None where there is none.
+        title: Shown above.
+        ornaments: Takes note of what cannot be drawn.
     """
+    ornaments = ornaments or Ornaments()
     table, points, main = system.map.keyframes, system.map.points, system.main_submap
     keyframes = table.T_world_cam[table.is_alive & (table.submap == main)]
     if len(keyframes) == 0:
         return
     ids = np.flatnonzero(points.is_alive)
     ids = ids[submaps.of_points(ids, system.map) == main]
-    draw_sparse_map(folder / SPARSE_MAP, points.position_m[ids], keyframes, system.trajectory(), title=title)
+    with ornaments.drawing():
+        draw_sparse_map(folder / SPARSE_MAP, points.position_m[ids], keyframes, system.trajectory(), title=title)
     if cloud is not None and len(cloud):
-        view = default_view(cloud, keyframes)
-        write_png(folder / DENSE_MAP, CloudRendererConfig().build().render(cloud, view))
+        with ornaments.drawing():
+            view = default_view(cloud, keyframes)
+            write_png(folder / DENSE_MAP, CloudRendererConfig().build().render(cloud, view))

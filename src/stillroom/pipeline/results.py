@@ -26,6 +26,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from datetime import datetime
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +36,7 @@ from stillroom.config import SlamConfig, to_toml
 from stillroom.data.dense_cloud import NAME as DENSE
 from stillroom.data.dense_cloud import DenseCloud
 from stillroom.data.map import submaps
+from stillroom.data.replacing import cannot_be_written, replace_text
 from stillroom.data.result import Recovery
 from stillroom.data.trajectory import Trajectory, read_tum
 from stillroom.errors import ConfigError, StillroomError
@@ -129,7 +131,7 @@ def _point_latest_to(folder: Path) -> None:
     except (OSError, NotImplementedError) as error:
         log.info("%s: cannot be made a link (%s); its name stands in %s.txt", link, error, LATEST)
         new.unlink(missing_ok=True)
-        link.with_name(f"{LATEST}.txt").write_text(folder.name + "\n", encoding="utf-8")
+        replace_text(link.with_name(f"{LATEST}.txt"), folder.name + "\n")
 
 
 def _cannot_make(folder: Path, error: OSError) -> StillroomError:
@@ -164,13 +166,30 @@ class Truth:
             self.at_camera.write_tum(folder / TRUTH_CAMERA)
 
 
-@contextmanager
-def writing_to(folder: Path) -> Iterator[None]:
-    """Turn an error such as a full disk into one line."""
-    try:
-        yield
-    except OSError as error:
-        raise StillroomError(f"{error.filename or folder}: cannot be written ({error.strerror})") from error
+class Attempts:
+    """Writes files one after the other; where one cannot be written, the others are all the same."""
+
+    def __init__(self) -> None:
+        self._first: StillroomError | None = None
+
+    @contextmanager
+    def file(self, path: Path) -> Iterator[None]:
+        """Let a block write a file; what goes wrong is kept until `conclude`."""
+        try:
+            yield
+        except OSError as error:
+            self._first = self._first or cannot_be_written(path, error)
+        except StillroomError as error:
+            self._first = self._first or error
+
+    def conclude(self) -> None:
+        """Say whether all was written.
+
+        Raises:
+            StillroomError: The first file that was not.
+        """
+        if self._first is not None:
+            raise self._first
 
 
 def write_config(folder: Path, dataset: Dataset, config: SlamConfig, options: RunOptions) -> None:
@@ -178,28 +197,53 @@ def write_config(folder: Path, dataset: Dataset, config: SlamConfig, options: Ru
     source = {} if options.source is None else {"source": asdict(options.source)}
     off = [f"{first}:{end}" for first, end in options.detector_off]
     how = {"name": dataset.name, "camera_source": dataset.camera_source, "detector_off": off, **options.asked}
-    with writing_to(folder):
-        (folder / CONFIG).write_text(to_toml(config, provenance() | how | source), encoding="utf-8")
+    replace_text(folder / CONFIG, to_toml(config, provenance() | how | source))
 
 
-def write_results(folder: Path, outcome: RunOutcome, truth: Truth | None) -> None:
-    """Write all results of a run; the trajectories first."""
-    system = outcome.system
-    with writing_to(folder):
+def write_results(folder: Path, outcome: RunOutcome, truth: Truth | None) -> DenseCloud | None:
+    """Write everything that a run came to: trajectories, then figures, then the rest, and the dense map last.
+
+    Returns:
+        The dense map; None where none is made.
+
+    Raises:
+        StillroomError: A file cannot be written; what was there is there still, and so are all others.
+    """
+    system, attempts = outcome.system, Attempts()
+    with attempts.file(folder / FINAL):
         system.trajectory().write_tum(folder / FINAL)
+    with attempts.file(folder / ONLINE):
         system.online_trajectory().write_tum(folder / ONLINE)
+    with attempts.file(folder / KEYFRAMES):
         system.keyframe_trajectory().write_tum(folder / KEYFRAMES)
+    with attempts.file(folder / METRICS):
+        write_run_metrics(folder, outcome)
+    with attempts.file(folder / FRAMES):
         _write_frames(folder / FRAMES, system, outcome.bad)
-        outcome.clock.write_csv(folder / TIMING)
+    with attempts.file(folder / TRUTH):
         if truth is not None:
             truth.write(folder)
+    with attempts.file(folder / TIMING):
+        outcome.clock.write_csv(folder / TIMING)
+    cloud = None
+    with attempts.file(folder / DENSE):  # fusing may need room on a disk as well
+        system.dense_mapper.refresh()
+        cloud = system.dense_mapper.cloud()
+    for name in (DENSE, CLOUD):  # for `stillroom export`, and for a viewer
+        with attempts.file(folder / name):
+            if cloud is not None:
+                cloud.write(folder / name)
+    attempts.conclude()
+    return cloud
+
+
+def write_run_metrics(folder: Path, outcome: RunOutcome) -> None:
+    """Write the figures of a run as they are by now.
+
+    Raises:
+        StillroomError: They cannot be written.
+    """
     write_metrics(folder, outcome.n_tracked, outcome.n_recorded, outcome.evaluation, _run_figures(outcome))
-
-
-def write_dense_map(folder: Path, cloud: DenseCloud) -> None:
-    """Write the dense map, for `stillroom export` and for a viewer."""
-    cloud.write(folder / DENSE)
-    cloud.write(folder / CLOUD)
 
 
 def write_metrics(
@@ -213,8 +257,7 @@ def write_metrics(
         figures = {"n_tracked": n_tracked, "n_given": n_given, "coverage": coverage, "as_given": None}
     if run is not None:
         figures["run"] = run
-    with writing_to(folder):
-        (folder / METRICS).write_text(json.dumps(figures, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    replace_text(folder / METRICS, json.dumps(figures, indent=2, allow_nan=False) + "\n")
 
 
 def read_run_figures(folder: Path) -> dict[str, Any] | None:
@@ -255,10 +298,11 @@ def _write_frames(path: Path, system: System, bad: Sequence[tuple[int, float]]) 
     ]
     rows += [(number, f"{time_s:.6f}", UNREADABLE, 0, 0, 0, 0, "", "") for number, time_s in bad]
     header = ("frame", "timestamp_s", "state", "keypoints", "static", "inliers", "is_keyframe", "submap", "recovery")
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(header)
-        writer.writerows(sorted(rows))
+    text = StringIO(newline="")
+    writer = csv.writer(text)
+    writer.writerow(header)
+    writer.writerows(sorted(rows))
+    replace_text(path, text.getvalue())
 
 
 def _run_figures(outcome: RunOutcome) -> dict[str, Any]:
@@ -271,6 +315,7 @@ def _run_figures(outcome: RunOutcome) -> dict[str, Any]:
         "doubts": [str(doubt) for doubt in outcome.doubts],
         "n_unpaired": outcome.n_unpaired,
         "interrupted": outcome.interrupted,
+        "n_pictures_failed": outcome.ornaments.n_failed,
         "n_in_unjoined_submaps": outcome.n_apart,
         "n_submaps": len(submaps.unjoined(world)),
         "n_keyframes": len(world.alive_keyframes()),

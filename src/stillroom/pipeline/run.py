@@ -1,13 +1,10 @@
 """Run a method over a sequence."""
 
 import logging
-import signal
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from types import FrameType, TracebackType
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -19,7 +16,9 @@ from stillroom.errors import ConfigError, FrameError
 from stillroom.pipeline import results
 from stillroom.pipeline.evaluating import evaluate_trajectory
 from stillroom.pipeline.options import RunOptions, RunOutcome
+from stillroom.pipeline.ornaments import Ornamental
 from stillroom.pipeline.plots import draw_maps, draw_plots
+from stillroom.pipeline.stop_request import StopRequest
 from stillroom.protocols import Dataset, RunObserver
 from stillroom.semantics.detector import withhold
 from stillroom.semantics.mask_files import MaskFilesConfig
@@ -35,62 +34,6 @@ log = logging.getLogger(__name__)
 MAX_UNREADABLE = 10
 BLACK_BELOW = 8
 LOADING = "loading"
-
-
-# Ctrl-C in the middle of a run.
-
-
-class StopRequest:
-    """Turns the first Ctrl-C of a block into a flag; the second interrupts at once; while held, all are ignored.
-
-    A frame that is begun is finished, so that map and trajectory are whole when they are written. Signals reach the
-    main thread only: on another one this does nothing.
-    """
-
-    def __init__(self) -> None:
-        self.asked = False
-        self._is_held = False
-        self._previous: Any = None
-        self._tellers: list[threading.Thread] = []
-
-    def __enter__(self) -> "StopRequest":
-        """Listen."""
-        if threading.current_thread() is threading.main_thread():
-            self._previous = signal.signal(signal.SIGINT, self._on_signal)
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
-        """Restore the earlier signal handler."""
-        if self._previous is not None:
-            signal.signal(signal.SIGINT, self._previous)
-        for teller in self._tellers:
-            teller.join()
-
-    def hold(self) -> None:
-        """Ignore Ctrl-C from now on: results are being written."""
-        self._is_held = True
-
-    def _on_signal(self, number: int, frame: FrameType | None) -> None:
-        if self._is_held:
-            self.asked = True
-            self._tell("the results are being written, which takes a moment")
-            return
-        if self.asked:
-            self.hold()  # Or a third one could come before the results are begun.
-            raise KeyboardInterrupt
-        self.asked = True
-        self._tell("stopping after this frame; Ctrl-C again stops at once")
-
-    def _tell(self, text: str) -> None:
-        """Warn from another thread.
-
-        A signal may arrive while this thread is writing to the same stream, and writers are not reentrant.
-        """
-        teller = threading.Thread(target=log.warning, args=(text,))
-        self._tellers.append(teller)
-        teller.start()
 
 
 # Progress of a run, and its log.
@@ -164,7 +107,8 @@ def run(
 ) -> RunOutcome:
     """Track every image of a sequence, write the results, and evaluate them against the ground truth.
 
-    Ctrl-C, or an error in the middle, ends it early; the results so far are still written.
+    Ctrl-C, a request to terminate (SIGTERM), a console that is closed (SIGHUP), or an error in the middle ends it
+    early; what there is by then is written all the same.
 
     Args:
         dataset: The sequence.
@@ -194,7 +138,7 @@ def run(
         outcome.map_file, outcome.masks = slam.map_file, options.masks
         if folder is not None:
             results.write_config(folder, dataset, slam.config, options)
-        slam.observe(_recorder(folder, dataset, options.pictures))
+        slam.observe(Ornamental(_recorder(folder, dataset, options.pictures), outcome.ornaments))
         if options.masks is not None:
             slam.observe(MaskWriter(options.masks))
         if options.observe is not None:
@@ -233,10 +177,11 @@ def _track_all(dataset: Dataset, slam: Slam, outcome: RunOutcome, stop: StopRequ
 def _concluded_in_any_case(
     outcome: RunOutcome, dataset: Dataset, stop: StopRequest, with_plots: bool
 ) -> Iterator[None]:
-    """Evaluate and write the results when the block ends, however it ends; Ctrl-C is then ignored."""
+    """Evaluate and write the results when the block ends, however it ends; signals are then ignored."""
     try:
         yield
         stop.hold()
+        outcome.interrupted |= stop.asked
     except KeyboardInterrupt:
         outcome.interrupted = True
     except BaseException:
@@ -258,16 +203,16 @@ def _conclude(outcome: RunOutcome, dataset: Dataset, with_plots: bool) -> None:
             outcome.doubts.append(doubt)
     if folder is None:
         return
-    results.write_results(folder, outcome, truth)
-    outcome.system.dense_mapper.refresh()
-    cloud = outcome.system.dense_mapper.cloud()
-    if cloud is not None:
-        results.write_dense_map(folder, cloud)
+    cloud = results.write_results(folder, outcome, truth)
     title = f"{outcome.method} on {dataset.name}"
+    n_told, ornaments = outcome.ornaments.n_failed, outcome.ornaments
     if with_plots:
-        draw_maps(folder / results.PICTURES, outcome.system, cloud, title)
+        draw_maps(folder / results.PICTURES, outcome.system, cloud, title, ornaments)
     if with_plots and truth is not None and outcome.evaluation is not None:
-        draw_plots(folder / results.PICTURES, {outcome.method: trajectory}, truth.as_given, title)
+        draw_plots(folder / results.PICTURES, {outcome.method: trajectory}, truth.as_given, title, ornaments=ornaments)
+    if ornaments.n_failed > n_told:
+        with ornaments.drawing():  # the figures are there already, but for this count
+            results.write_run_metrics(folder, outcome)
     outcome.pictures = tuple(sorted((folder / results.PICTURES).glob("*.png")))
 
 

@@ -25,11 +25,9 @@ class Changes:
     def __init__(self, world: Map) -> None:
         """Start with nothing written."""
         self._world = world
-        self._known = _Poses.of(world, 0)
+        self._known, self._present = _Poses.of(world, 0), _Poses.of(world, 0)
         self._loops: list[tuple[int, int]] = []
-        self.expect_all()
-        world.keyframes.is_unsaved[:] = True
-        world.covisibility.unsaved.update(range(len(world.keyframes)))
+        self.write_again()
 
     def forget(self) -> None:
         """Mark everything as written."""
@@ -44,15 +42,25 @@ class Changes:
         """Mark all points as changed."""
         self._world.points.is_unsaved[:] = True
 
+    def write_again(self) -> None:
+        """Take all marks as set: what was written since the last `committed` is not in the file."""
+        self.expect_all()
+        self._world.keyframes.is_unsaved[:] = True
+        self._world.covisibility.unsaved.update(range(len(self._world.keyframes)))
+
+    def committed(self) -> None:
+        """Take what `write` wrote last as written for good."""
+        self._known = self._present
+        self._loops = list(self._world.loop_edges)
+
     def write(self, database: sqlite3.Connection) -> None:
-        """Write the changes in a transaction that is open; they count as written."""
-        present = _Poses.of(self._world, len(self._world.keyframes))
+        """Write the changes in a transaction that is open; `committed` or `write_again` must follow."""
+        present = self._present = _Poses.of(self._world, len(self._world.keyframes))
         self._write_keyframes(database, present)
         self._write_observations(database, present)
         self._write_points(database)
         self._write_edges(database)
         self._write_loops(database)
-        self._known = present
 
     def _write_keyframes(self, database: sqlite3.Connection, present: "_Poses") -> None:
         table, keypoints, n_known = self._world.keyframes, self._world.keypoints, len(self._known)
@@ -114,7 +122,6 @@ class Changes:
         if loops != self._loops:
             database.execute("DELETE FROM loops")
             insert(database, "loops", [(place, int(known), int(back)) for place, (known, back) in enumerate(loops)])
-            self._loops = list(loops)
 
 
 def insert(database: sqlite3.Connection, table: str, rows: Iterable[tuple[Any, ...]]) -> None:

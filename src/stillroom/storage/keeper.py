@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from stillroom.data.image import RgbdImage
 from stillroom.data.result import FrameSummary
+from stillroom.errors import MapError
 from stillroom.geometry.arrays import Bool
 from stillroom.geometry.camera import Camera
 from stillroom.protocols import Parts
@@ -50,7 +51,12 @@ class MapKeeper:
         """
         wanted = self.config.images
         pictures = compress(keyframe, image, moving, self._camera.depth_factor) if wanted else None
-        self._writer.commit(self._taken_frames(), pictures)
+        frames = self._taken_frames()
+        try:
+            self._writer.commit(frames, pictures)
+        except MapError:
+            self._frames.extendleft(reversed(frames))  # for the next commit, should there be room by then
+            raise
 
     def note(self, result: FrameSummary) -> None:
         """Store the pose of a frame, until it is written."""

@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from stillroom.data.replacing import cannot_be_written
 from stillroom.errors import MapError
 from stillroom.storage.schema import APPLICATION_ID, TABLES, VERSION
 
@@ -17,6 +18,7 @@ LOG_BYTES = 32 << 20
 
 _HEADER_BYTES = 100
 _MAGIC = b"SQLite format 3\x00"
+_NO_ROOM = {sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_READONLY}
 
 
 @dataclass(frozen=True)
@@ -37,6 +39,11 @@ class Header:
 def log_of(path: Path) -> Path:
     """Return where the write-ahead log of a map lies while it is written, and after a crash."""
     return path.with_name(path.name + "-wal")
+
+
+def journal_of(path: Path) -> Path:
+    """Return where SQLite keeps what it would put back, should it be cut off while it turns the log into the file."""
+    return path.with_name(path.name + "-journal")
 
 
 def inspect(path: Path) -> Header:
@@ -72,8 +79,8 @@ def inspect(path: Path) -> Header:
             f"{path}: is of map format {header.version}, and this Stillroom knows formats up to {VERSION}; "
             "update Stillroom; the file was not touched"
         )
-    # With a write-ahead log the file may be shorter than its header says.
-    if n_bytes < header.n_bytes and not _has_log(path):
+    # With a log beside it the file may rightly be shorter than it will be.
+    if n_bytes < header.n_bytes and not _has_content(log_of(path)):
         raise MapError(
             f"{path}: is cut short: {n_bytes} of {header.n_bytes} bytes; copy it again from where it is whole"
         )
@@ -88,15 +95,49 @@ def reading(path: Path) -> Iterator[sqlite3.Connection]:
         MapError: It cannot be opened or read; see `inspect`.
     """
     inspect(path)
-    # Without a log there is no writer: SQLite then needs neither locks nor files beside it.
-    how = "mode=ro" if _has_log(path) else "mode=ro&immutable=1"
+    if _has_content(journal_of(path)):
+        _put_back(path)
+    # Without a log nobody is writing: SQLite then needs neither locks nor files beside it.
+    how = "mode=ro" if _has_content(log_of(path)) else "mode=ro&immutable=1"
     with naming(path):
         connection = sqlite3.connect(f"{path.resolve().as_uri()}?{how}", uri=True, timeout=0.2)
         connection.text_factory = _text
         try:
+            with _needing_room_beside(path):
+                connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
             yield connection
         finally:
             connection.close()
+
+
+def _put_back(path: Path) -> None:
+    """Undo what was cut off in the middle, as SQLite does when a file is opened to write."""
+    with naming(path), _needing_room_beside(path):
+        connection = sqlite3.connect(f"{path.resolve().as_uri()}?mode=rw", uri=True, timeout=0.2)
+        try:
+            connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
+        finally:
+            connection.close()
+
+
+@contextmanager
+def _needing_room_beside(path: Path) -> Iterator[None]:
+    """Say what to copy where SQLite finds no room for its files beside a map that was not closed.
+
+    Raises:
+        MapError: In the place of SQLite's error.
+    """
+    try:
+        yield
+    except sqlite3.OperationalError as error:
+        beside = [file.name for file in (log_of(path), journal_of(path)) if _has_content(file)]
+        if _kind(error) not in _NO_ROOM or not beside:
+            raise
+        raise MapError(
+            f"{path}: was not closed by the run that wrote it, and its folder is full or cannot be written ({error}), "
+            f"which reading {beside[0]} needs; copy {path.name} and {' and '.join(beside)} together into a folder with "
+            "room, and name the copy [see troubleshooting: map-read-only]"
+        ) from error
 
 
 def require_unused(path: Path) -> None:
@@ -111,8 +152,9 @@ def require_unused(path: Path) -> None:
         raise MapError(
             f"{path}: exists already; extend it with --continue, localize in it with --localize, or choose another name"
         )
-    if log_of(path).exists():
-        raise MapError(f"{log_of(path)}: belongs to a map that is gone; remove it, or choose another name")
+    for beside in (log_of(path), journal_of(path)):
+        if beside.exists():
+            raise MapError(f"{beside}: belongs to a map that is gone; remove it, or choose another name")
 
 
 def create(path: Path) -> sqlite3.Connection:
@@ -189,19 +231,23 @@ def naming(path: Path) -> Iterator[None]:
     except sqlite3.OperationalError as error:
         if "locked" in str(error):
             raise MapError(f"{path}: is in use by another run; wait for its end, or choose another map") from error
-        raise MapError(f"{path}: {error}") from error
-    except (
-        sqlite3.DatabaseError,
-        UnicodeDecodeError,
-    ) as error:  # SQLite may quote bytes of a damaged file that are no text
+        row = " [see troubleshooting: disk-full]" if _kind(error) == sqlite3.SQLITE_FULL else ""
+        raise MapError(f"{path}: {error}{row}") from error
+    except (sqlite3.DatabaseError, UnicodeDecodeError) as error:  # what SQLite quotes of a damaged file may be no text
         raise MapError(f"{path}: is damaged ({error}); 'stillroom map check {path}' says more") from error
     except OSError as error:
-        raise MapError(f"{path}: cannot be written ({error.strerror})") from error
+        raise MapError(str(cannot_be_written(path, error))) from error
 
 
-def _has_log(path: Path) -> bool:
+def _kind(error: sqlite3.Error) -> int | None:
+    """Return what SQLite calls the primary code of an error (sqlite.org/rescode.html); None where it gave none."""
+    code = getattr(error, "sqlite_errorcode", None)
+    return None if code is None else code & 0xFF
+
+
+def _has_content(path: Path) -> bool:
     try:
-        return log_of(path).stat().st_size > 0
+        return path.stat().st_size > 0
     except OSError:
         return False
 

@@ -81,13 +81,20 @@ class MapWriter:
             pictures: Depth and colours of a keyframe.
 
         Raises:
-            MapError: The disk is full, or the like. The file then holds the last commit.
+            MapError: The disk is full, or the like. The file then holds the last commit, and the next one writes
+                what this one should have.
         """
-        with self._world.lock, self._transaction() as database:
-            self._changes.write(database)
-            insert(database, "frames", map(_row, frames))
-            if pictures is not None:
-                insert(database, "images", [astuple(pictures)])
+        with self._world.lock:
+            try:
+                with self._transaction() as database:
+                    self._changes.write(database)
+                    insert(database, "frames", map(_row, frames))
+                    if pictures is not None:
+                        insert(database, "images", [astuple(pictures)])
+            except BaseException:
+                self._changes.write_again()
+                raise
+            self._changes.committed()
 
     def close(self, frames: Iterable[FrameNote] = ()) -> None:
         """Write what has changed, the counts of all points too, and leave one file.

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import cv2
 
-from stillroom.errors import StillroomError
+from stillroom.data.replacing import cannot_be_written, replacing
 from stillroom.geometry.arrays import U8
 
 
@@ -17,6 +17,7 @@ def write_png(path: Path, picture: U8) -> None:
     _, png = cv2.imencode(".png", picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(png.tobytes())
     except OSError as error:
-        raise StillroomError(f"{path}: cannot be written ({error.strerror})") from error
+        raise cannot_be_written(path, error) from error
+    with replacing(path, durable=False) as file:
+        file.write(png.tobytes())

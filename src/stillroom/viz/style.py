@@ -2,10 +2,11 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
-from stillroom.errors import StillroomError
+from stillroom.data.replacing import cannot_be_written, replacing
 
 TRUTH = "#30343b"
 """Colour of the ground truth."""
@@ -71,8 +72,11 @@ def picture(path: Path, width_in: float, height_in: float) -> Iterator[Any]:
         figure = Figure(figsize=(width_in, height_in), dpi=DPI, layout="constrained")
         FigureCanvasAgg(figure)
         yield figure
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            figure.savefig(path, format="png")
-        except OSError as error:
-            raise StillroomError(f"{path}: cannot be written ({error.strerror})") from error
+        drawn = BytesIO()
+        figure.savefig(drawn, format="png")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise cannot_be_written(path, error) from error
+    with replacing(path, durable=False) as file:
+        file.write(drawn.getvalue())

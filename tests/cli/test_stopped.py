@@ -1,0 +1,126 @@
+"""A run that is asked to end, by whichever signal and in whichever stage, keeps what is done by then."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from stillroom.data.trajectory import read_tum
+
+if not hasattr(signal, "SIGHUP"):
+    pytest.skip("this system sends no SIGHUP, and no SIGTERM to another process", allow_module_level=True)
+
+N = 6
+RUN = f"""
+import importlib, os, signal, sys
+
+def at(module, name, number, n=1):
+    '''Let the process be asked to end when something is called for the n-th time.'''
+    module, _, holder = module.partition(":")
+    where = importlib.import_module(module)
+    where = getattr(where, holder) if holder else where
+    honest, left = getattr(where, name), [n]
+
+    def asked(*given, **named):
+        left[0] -= 1
+        if left[0] == 0:
+            os.kill(os.getpid(), number)
+        return honest(*given, **named)
+
+    setattr(where, name, asked)
+
+place, number, n = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
+if place:
+    at(*place.split(" "), number, n)
+from stillroom.cli.main import main
+main(["run", "synthetic:empty", "--frames", ":{N}", "--method", "orb-slam2", "--out", "out", *sys.argv[4:]])
+"""
+STAGES = {
+    "loading": ("stillroom.datasets.open open_dataset", 1, None),
+    "warm-up": ("stillroom.cli.warmup ensure_warm", 1, None),
+    "tracking": ("stillroom.session.slam:Slam process", 3, 3),
+    "finishing": ("stillroom.system:System close", 1, N),
+    "writing": ("stillroom.pipeline.results write_metrics", 1, N),
+    "drawing": ("stillroom.pipeline.plots plot_error", 1, N),
+}
+CODES = {"SIGINT": 130, "SIGTERM": 143, "SIGHUP": 129}
+
+
+def run(folder: Path, place: str, number: int, n: int, *more: str) -> subprocess.CompletedProcess[str]:
+    words = [sys.executable, "-c", RUN, place, str(number), str(n), *more]
+    return subprocess.run(words, cwd=folder, capture_output=True, text=True, timeout=300, check=False)
+
+
+def assert_kept(folder: Path, n: int) -> None:
+    assert len(read_tum(folder / "trajectory.tum")) == n
+    assert len(read_tum(folder / "trajectory_online.tum")) == n
+    assert json.loads((folder / "metrics.json").read_text(encoding="utf-8"))["n_given"] == n
+    assert [path.name for path in folder.iterdir() if path.name.startswith(".")] == []
+
+
+@pytest.mark.parametrize("stage", STAGES)
+def test_sigterm_in_any_stage_keeps_what_is_done(stage: str, tmp_path: Path) -> None:
+    place, n, n_done = STAGES[stage]
+    done = run(tmp_path, place, signal.SIGTERM, n, "--pictures", "1" if stage == "drawing" else "0")
+    assert done.returncode == 143, done.stderr
+    assert "Traceback" not in done.stderr
+    if n_done is None:
+        assert list((tmp_path / "out").glob("*")) == []
+    else:
+        assert "[see troubleshooting: interrupted]" in done.stderr
+        assert_kept(tmp_path / "out", n_done)
+    if stage == "drawing":
+        assert (tmp_path / "out" / "pictures" / "error.png").exists()
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGHUP"])
+def test_every_signal_has_its_exit_code(name: str, tmp_path: Path) -> None:
+    place, n, n_done = STAGES["tracking"]
+    done = run(tmp_path, place, getattr(signal, name), n, "--pictures", "0", "--map", "room.stillmap")
+    assert done.returncode == CODES[name], done.stderr
+    assert n_done is not None
+    assert_kept(tmp_path / "out", n_done)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["out", "room.stillmap"]
+
+
+def test_under_nohup_a_closed_console_is_not_heard(tmp_path: Path) -> None:
+    place, n, _ = STAGES["tracking"]
+    code = f"import signal; signal.signal(signal.SIGHUP, signal.SIG_IGN)\n{RUN}"
+    words = [sys.executable, "-c", code, place, str(int(signal.SIGHUP)), str(n), "--pictures", "0"]
+    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 0, done.stderr
+    assert_kept(tmp_path / "out", N)
+
+
+def test_a_console_that_is_closed(tmp_path: Path) -> None:
+    """The terminal goes away in the middle: SIGHUP comes, and nothing can be written to it any more."""
+    ours, theirs = os.openpty()
+    words = [sys.executable, "-c", RUN.replace(f":{N}", ":200"), "", "0", "0", "--pictures", "0"]
+    with subprocess.Popen(words, cwd=tmp_path, preexec_fn=lambda: os.login_tty(theirs)) as process:
+        os.close(theirs)
+        shown = b""
+        while b"frames/s" not in shown:
+            shown += os.read(ours, 4096)
+        os.close(ours)
+        code = process.wait(timeout=300)
+    assert code == 129, shown
+    n = json.loads((tmp_path / "out" / "metrics.json").read_text(encoding="utf-8"))["n_given"]
+    assert 0 < n < 200
+    assert_kept(tmp_path / "out", n)
+
+
+def test_a_reader_of_the_output_who_leaves_ends_nothing(tmp_path: Path) -> None:
+    """As in `stillroom run … 2>&1 | head -1`."""
+    end_of_reader, end_of_run = os.pipe()
+    os.close(end_of_reader)
+    words = [sys.executable, "-c", RUN, "", "0", "0", "--pictures", "0"]
+    code = subprocess.run(
+        words, cwd=tmp_path, stdout=end_of_run, stderr=end_of_run, timeout=300, check=False
+    ).returncode
+    os.close(end_of_run)
+    assert code == 0
+    assert_kept(tmp_path / "out", N)

@@ -8,7 +8,7 @@ from stillroom.bounds import check
 from stillroom.config import SlamConfig
 from stillroom.data.image import RgbdImage
 from stillroom.data.map import Map, submaps
-from stillroom.data.result import FrameResult, FrameSummary, Tracked
+from stillroom.data.result import FrameResult, FrameSummary, Recovery, Tracked
 from stillroom.data.semantics import Semantics
 from stillroom.data.trajectory import Trajectory
 from stillroom.dynamics.asking import Asking
@@ -63,6 +63,7 @@ class System:
     observer: RunObserver
     results: list[FrameSummary] = field(default_factory=list)
     first_keyframe: int = 0
+    n_repeated: int = 0
 
     def process(self, image: RgbdImage) -> FrameResult:
         """Track one image; images come in order of time."""
@@ -83,6 +84,21 @@ class System:
             self.schedule.submit(self.keeper.keep, keyframe, image, tracked.motion.moving)  # on disk, where wanted
         self._map_densely(tracked, keyframe)
         return self._conclude(tracked, semantics, keyframe)
+
+    def repeat(self, result: FrameResult, image: RgbdImage) -> FrameResult:
+        """Give an image that shows exactly what the one before it did that one's pose, and count it.
+
+        Args:
+            result: The result of the image before.
+            image: The image that repeats it.
+        """
+        repeated = replace(
+            result, index=image.index, timestamp_s=image.timestamp_s, is_keyframe=False, recovery=Recovery.NONE
+        )
+        self.n_repeated += 1
+        self.results.append(repeated.summary)
+        self.keeper.note(repeated.summary)
+        return repeated
 
     def trajectory(self) -> Trajectory:
         """Return the final poses: each frame relative to its reference keyframe's current pose.

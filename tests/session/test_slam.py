@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -276,6 +277,32 @@ def test_what_cannot_be_asked_is_said():
     slam.close()
     with pytest.raises(StillroomError, match="this Slam is closed"):
         slam.process(sr.RgbdImage(0.0, np.zeros((480, 640, 3), np.uint8), np.zeros((480, 640), np.float32)))
+
+
+def test_images_that_repeat_get_the_pose_before_and_change_nothing(caplog):
+    sequence = room()
+    images = list(sequence)
+    twice = [
+        replace(image, index=2 * image.index + again, timestamp_s=image.timestamp_s + again / 60)
+        for image in images
+        for again in (0, 1)
+    ]
+    once = tracked("oc-slam", images, sequence.camera)
+    named = []
+
+    class Observer:
+        def on_frame(self, tracked, semantics, result):
+            named.append((tracked.frame.image.index, result.index))
+
+    with sr.Slam("oc-slam", sequence.camera, seed=0, settings=TRUE_BOXES, observers=[Observer()]) as slam:
+        for image in twice:
+            slam.process(image)
+    assert slam.system.n_repeated == len(images)
+    assert [doubt.name for doubt in slam.doubts] == ["repeated-images"]
+    assert named == [(index, index) for index in range(len(twice))]
+    np.testing.assert_array_equal(slam.trajectory().T_world_cam[::2], once.trajectory().T_world_cam)
+    np.testing.assert_array_equal(slam.trajectory().T_world_cam[1::2], once.trajectory().T_world_cam)
+    np.testing.assert_array_equal(slam.dense_cloud().positions_m, once.dense_cloud().positions_m)
 
 
 def test_a_first_run_that_compiles_says_so_once_and_a_warm_one_is_silent(tmp_path):

@@ -314,6 +314,7 @@ def _run_figures(outcome: RunOutcome) -> dict[str, Any]:
         "n_unreadable": outcome.n_bad,
         "doubts": [str(doubt) for doubt in outcome.doubts],
         "n_unpaired": outcome.n_unpaired,
+        "n_repeated": outcome.system.n_repeated,
         "interrupted": outcome.interrupted,
         "n_pictures_failed": outcome.ornaments.n_failed,
         "n_in_unjoined_submaps": outcome.n_apart,

@@ -15,7 +15,7 @@ from stillroom.config import SlamConfig, with_overrides
 from stillroom.data.dense_cloud import DenseCloud
 from stillroom.data.image import RgbdImage
 from stillroom.data.map import Map
-from stillroom.data.result import FrameResult, Tracked
+from stillroom.data.result import FrameResult, Tracked, TrackingState
 from stillroom.data.semantics import Semantics
 from stillroom.data.trajectory import Trajectory
 from stillroom.errors import ConfigError, FrameError, MapError, StillroomError
@@ -147,7 +147,7 @@ class Slam:
         self.doubt(self._depths.add(image.depth_m))
         is_first = len(self.system.results) == 0
         with self.clock.stage(FRAME), said_when_compiling() if is_first else nullcontext():
-            result = self.system.process(image)
+            result = self._repeated(image) or self.system.process(image)
         self.clock.next_frame(image.index)
         self._newest.show(self._observers)
         return result
@@ -223,6 +223,24 @@ class Slam:
         frames = (*earlier.frames, *(note for note in notes if note is not None))
         save_map(Path(path), StoredMap(self.map, earlier.camera, (*earlier.sessions, session), frames))
 
+    def _repeated(self, image: RgbdImage) -> FrameResult | None:
+        """Return the result before, for an image that shows exactly the same; None for a new one.
+
+        Recorders that wait for a slow sensor write the last image again. It carries no information, and a motion model
+        would take the camera to stand still.
+        """
+        if self._newest.seen is None:
+            return None
+        tracked, semantics, result = self._newest.seen
+        if result.state is not TrackingState.OK or not _is_same(tracked.frame.image, image):
+            return None
+        if self.system.n_repeated == 0:
+            text = f"image {image.index} is the one before it once more; such images get its pose, and are counted"
+            self.doubt([Doubt("repeated-images", text)])
+        result = self.system.repeat(result, image)
+        self._newest.on_frame(replace(tracked, frame=replace(tracked.frame, image=image)), semantics, result)
+        return result
+
     def _finish(self) -> None:
         with self.clock.stage(FRAME):
             self.system.close()
@@ -257,17 +275,23 @@ class _Newest:
     """Keeps the newest frame until its time is taken, so that observers do not count as the frame's time."""
 
     def __init__(self) -> None:
-        self._seen: tuple[Tracked, Semantics, FrameResult] | None = None
+        self.seen: tuple[Tracked, Semantics, FrameResult] | None = None
 
     def on_frame(self, tracked: Tracked, semantics: Semantics, result: FrameResult) -> None:
-        self._seen = (tracked, semantics, result)
+        self.seen = (tracked, semantics, result)
 
     def show(self, observers: Iterable[RunObserver]) -> None:
         """Call the observers with it."""
-        if self._seen is not None:
+        if self.seen is not None:
             for observer in observers:
-                observer.on_frame(*self._seen)
-        self._seen = None
+                observer.on_frame(*self.seen)
+
+
+def _is_same(first: RgbdImage, second: RgbdImage) -> bool:
+    few = slice(None, None, 16)
+    if not np.array_equal(first.rgb[few, few], second.rgb[few, few]):
+        return False
+    return np.array_equal(first.rgb, second.rgb) and np.array_equal(first.depth_m, second.depth_m)
 
 
 def _configured(method: str | SlamConfig, settings: Iterable[str], seed: int | None) -> SlamConfig:

@@ -89,7 +89,7 @@ def test_what_was_cut_off_while_a_map_was_closed_is_put_back(life: EventfulLife,
         shutil.copy(file, left.with_name(file.name))
     database.close()
     assert left.read_bytes() != path.read_bytes()
-    with no_room(), pytest.raises(MapError, match="room.stillmap-journal together into a folder with room"):
+    with no_room(), pytest.raises(MapError, match=r"room\.stillmap-journal together into a folder with room"):
         load_map(left)
     assert_same_map(load_map(left).world, life.world)
     assert not journal_of(left).exists()

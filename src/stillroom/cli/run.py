@@ -8,14 +8,15 @@ import typer
 
 from stillroom.cli.arguments import ConfigFile, Method, Seed, Settings
 from stillroom.errors import ConfigError
+from stillroom.stopping import INTERRUPTED
 
 if TYPE_CHECKING:
     from stillroom.config import SlamConfig
     from stillroom.pipeline import RunOptions, RunOutcome, Source
     from stillroom.session.map_file import MapFile
 
-INTERRUPTED = 130
-
+NOTHING_TRACKED = 3
+"""Exit code of a run that went through and found no pose: what comes after it in a script would have nothing."""
 
 Map = Annotated[
     Path | None,
@@ -72,6 +73,7 @@ def run(
     """Track the camera through a sequence.
 
     Writes trajectory, figures and pictures into a folder in results/; Ctrl-C ends a run early and keeps what there is.
+    Exit code 3 says that nothing was tracked.
 
     An archive is unpacked once into the user's cache and stays there until you delete it.
 
@@ -114,7 +116,7 @@ def _map_file(path: Path | None, continue_: bool, localize: bool) -> "MapFile | 
 
 
 def _track(chosen: "SlamConfig", source: "Source", options: "RunOptions", detector_off: tuple[str, ...]) -> None:
-    from stillroom.cli.output import STDERR, RunBar, say, show_log
+    from stillroom.cli.output import STDERR, RunBar, print_error, say, show_log
     from stillroom.cli.warmup import ensure_warm
     from stillroom.datasets.recording import rendered
     from stillroom.pipeline import run as run_pipeline
@@ -136,6 +138,9 @@ def _track(chosen: "SlamConfig", source: "Source", options: "RunOptions", detect
     _report(outcome)
     if outcome.interrupted:
         raise typer.Exit(INTERRUPTED)
+    if outcome.why_untracked is not None:
+        print_error(f"nothing was tracked: {outcome.why_untracked} [see troubleshooting: nothing-tracked]")
+        raise typer.Exit(NOTHING_TRACKED)
 
 
 def _report(outcome: "RunOutcome") -> None:
@@ -146,9 +151,12 @@ def _report(outcome: "RunOutcome") -> None:
         print_evaluation(outcome.evaluation)
     else:
         share = percent(outcome.n_tracked / outcome.n_given if outcome.n_given else None)
-        print_lines(
-            [f"{outcome.n_tracked} of {outcome.n_given} frames tracked ({share}); no ground truth to compare with"]
+        why = (
+            "too little to compare with the ground truth"
+            if outcome.has_groundtruth
+            else "no ground truth to compare with"
         )
+        print_lines([f"{outcome.n_tracked} of {outcome.n_given} frames tracked ({share}); {why}"])
     print_lines(_sentences(outcome))
 
 

@@ -11,6 +11,7 @@ from stillroom.errors import ConfigError
 from stillroom.evaluation.report import Evaluation
 from stillroom.evaluation.timing import StageClock
 from stillroom.pipeline.ornaments import Ornaments
+from stillroom.pipeline.untracked import Seen, likely_reason
 from stillroom.protocols import Dataset, RunObserver, Segmenter
 from stillroom.session.map_file import MapFile
 from stillroom.system import System
@@ -28,13 +29,16 @@ class RunOutcome:
         system: As it is after the last frame: trajectories, results of all frames, the map.
         clock: What the stages cost.
         evaluation: Its figures; None without ground truth, or with a trajectory that cannot be compared to it.
+        has_groundtruth: Whether the sequence has any.
         n_given: Images that the run was given, those that cannot be read among them.
         interrupted: Whether it was stopped before the last image.
         bad: Number and time [s] of each image that cannot be read.
         pictures: What was drawn.
         ornaments: Counts the pictures that could not be drawn.
         map_file: Where the map was kept; None where it was not.
+        localized_in: The map that was only tracked against; None where the run made a map of its own.
         masks: The folder that the moving pixels of each frame were written into; None where they were not.
+        seen: What the images were like.
     """
 
     method: str
@@ -42,13 +46,16 @@ class RunOutcome:
     system: System
     clock: StageClock
     evaluation: Evaluation | None = None
+    has_groundtruth: bool = False
     n_given: int = 0
     interrupted: bool = False
     bad: list[tuple[int, float]] = field(default_factory=list)
     pictures: tuple[Path, ...] = ()
     ornaments: Ornaments = field(default_factory=Ornaments)
     map_file: Path | None = None
+    localized_in: Path | None = None
     masks: Path | None = None
+    seen: Seen = field(default_factory=Seen)
 
     @property
     def n_bad(self) -> int:
@@ -59,6 +66,13 @@ class RunOutcome:
     def n_tracked(self) -> int:
         """Images that have a pose; those in sub-maps that were never joined have none in the trajectory."""
         return sum(result.T_world_cam is not None for result in self.system.results) - self.n_apart
+
+    @property
+    def why_untracked(self) -> str | None:
+        """The likely reason, in one line, for which no image has a pose; None where one has, or none was given."""
+        if self.n_given == 0 or any(result.T_world_cam is not None for result in self.system.results):
+            return None
+        return likely_reason(self.seen, self.system.results, self.localized_in)
 
     @property
     def n_apart(self) -> int:

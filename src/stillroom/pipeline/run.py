@@ -18,6 +18,7 @@ from stillroom.pipeline.options import RunOptions, RunOutcome
 from stillroom.pipeline.ornaments import Ornamental
 from stillroom.pipeline.plots import draw_maps, draw_plots
 from stillroom.pipeline.stop_request import StopRequest
+from stillroom.pipeline.untracked import Seen
 from stillroom.protocols import Dataset, RunObserver
 from stillroom.semantics.detector import withhold
 from stillroom.semantics.mask_files import MaskFilesConfig
@@ -30,7 +31,6 @@ from stillroom.viz.recorder import PictureRecorderConfig
 
 log = logging.getLogger(__name__)
 MAX_UNREADABLE = 10
-BLACK_BELOW = 8
 LOADING = "loading"
 
 
@@ -69,7 +69,9 @@ SILENT = Silent()
 class Remarks:
     """Puts into the log what is odd about a run: one line when it begins, not one for every frame that it lasts."""
 
-    def __init__(self) -> None:
+    def __init__(self, seen: Seen) -> None:
+        """Begin; what the images are like is counted in `seen`."""
+        self._seen = seen
         self._n_unreadable = 0
         self._odd: dict[str, bool] = {}
 
@@ -83,9 +85,8 @@ class Remarks:
 
     def frame(self, image: RgbdImage, result: FrameSummary) -> None:
         """Remark what is odd about an image, and where tracking is lost and found."""
-        is_black = int(image.rgb.max()) < BLACK_BELOW
+        is_black, no_depth = self._seen.add(image)
         self._begins("black", is_black, "image %d is black", image.index)
-        no_depth = not is_black and not image.depth_m.any()
         self._begins("no depth", no_depth, "image %d has no depth anywhere", image.index)
         # A black image says by itself why there is no pose.
         was_lost = self._odd.get("lost", False)
@@ -133,7 +134,14 @@ def run(
     with StopRequest() as stop, slam:
         folder = _folder(dataset, slam.config, options)
         outcome = RunOutcome(
-            config.method, folder, slam.system, slam.clock, map_file=slam.map_file, masks=options.masks
+            config.method,
+            folder,
+            slam.system,
+            slam.clock,
+            has_groundtruth=dataset.groundtruth is not None,
+            map_file=slam.map_file,
+            localized_in=None if options.map is None else options.map.read_only,
+            masks=options.masks,
         )
         if folder is not None:
             results.write_config(folder, dataset, slam.config, options)
@@ -152,7 +160,7 @@ def run(
 
 
 def _track_all(dataset: Dataset, slam: Slam, outcome: RunOutcome, stop: StopRequest, progress: RunProgress) -> None:
-    remarks = Remarks()
+    remarks = Remarks(outcome.seen)
     for place in range(len(dataset)):
         if stop.asked:
             outcome.interrupted = True

@@ -66,11 +66,29 @@ def test_export_writes_what_is_asked_for(stillroom: Callable, small: Path) -> No
     assert said.code == 0
     folder = small.with_suffix("")
     names = {"trajectory_0.tum", "trajectory_1.tum", "keyframes_0.tum", "keyframes_1.tum"}
-    names |= {"cameras.txt", "images.txt", "points3D.txt"}
     assert {file.name for file in folder.iterdir()} == names
     assert len(read_tum(folder / "trajectory_0.tum")) == 5
-    assert stillroom("map", "export", small, "--format", "colmap", "--out", "elsewhere").code == 0
-    assert {file.name for file in Path("elsewhere").iterdir()} == {"cameras.txt", "images.txt", "points3D.txt"}
+
+
+def test_colmap_is_refused_where_there_are_no_images(stillroom: Callable, small: Path) -> None:
+    said = stillroom("map", "export", small, "--format", "colmap", "--out", "elsewhere")
+    assert said.code == 1
+    [error] = said.errors
+    assert "make it again with --set storage.images=true [see troubleshooting: colmap]" in error
+    assert not Path("elsewhere").exists()
+
+
+def test_colmap_names_images_that_are_there(stillroom: Callable, recorded: Path) -> None:
+    options = ("--set", "storage.images=true", "--map", "room.stillmap", "--out", "results", *FEW)
+    assert stillroom("run", recorded, "--frames", ":6", *options).code == 0
+    said = stillroom("map", "export", "room.stillmap")
+    assert (said.code, said.errors) == (0, [])
+    heads = [line.split() for line in Path("room/images.txt").read_text(encoding="utf-8").splitlines()[::2]]
+    assert len(heads) >= 1
+    for head in heads:
+        assert (Path("room/images") / head[9]).is_file()
+    points = [line.split() for line in Path("room/points3D.txt").read_text(encoding="utf-8").splitlines()]
+    assert len({tuple(point[4:7]) for point in points}) > 50
 
 
 def test_dense_formats_come_from_images_in_the_map(stillroom: Callable, recorded: Path) -> None:

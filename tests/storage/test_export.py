@@ -1,5 +1,6 @@
 """What other programs get, read by them or by a plain reader of their format."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,6 +11,8 @@ from evo.tools import file_interface
 from random_map import EventfulLife, session
 from small_world import CAMERA
 
+from stillroom.data.image import RgbdImage
+from stillroom.errors import MapError
 from stillroom.geometry import se3
 from stillroom.storage.map_export import keyframe_trajectories, trajectories, write_colmap, write_trajectories
 from stillroom.storage.schema import FrameNote, StoredMap
@@ -22,6 +25,14 @@ def stored() -> StoredMap:
     life.world.keyframes.submap[:] = 0
     life.world.keyframes.timestamp_s[:] = np.arange(len(life.world.keyframes)) / 10.0
     return StoredMap(life.world, CAMERA, (session(),))
+
+
+def images_of(stored: StoredMap) -> Iterator[tuple[int, RgbdImage]]:
+    """An image of each keyframe, as taken; its colours tell the column (red) and the row (green) of a pixel."""
+    columns, rows = np.meshgrid(np.arange(640) / 3, np.arange(480) / 2)
+    rgb = np.stack((columns, rows, np.full_like(rows, 77)), axis=2).astype(np.uint8)
+    for keyframe in stored.world.alive_keyframes().tolist():
+        yield keyframe, RgbdImage(0.0, rgb, np.zeros((480, 640), np.float32), keyframe)
 
 
 def lines(path: Path) -> list[list[str]]:
@@ -39,8 +50,8 @@ def test_colmap_projects_its_points_to_its_keypoints(stored: StoredMap, tmp_path
         points_cam = se3.transform(T_cam_world, world.points.position_m[np.maximum(seen, 0)])
         keep = (seen >= 0) & (points_cam[:, 2] > 0.1)
         world.keypoints.px[rows][keep] = CAMERA.project(points_cam[keep])
-    model = write_colmap(stored, tmp_path)
-    assert sorted(file.name for file in tmp_path.iterdir()) == ["cameras.txt", "images.txt", "points3D.txt"]
+    model = write_colmap(stored, images_of(stored), tmp_path)
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["cameras.txt", "images", "images.txt", "points3D.txt"]
 
     [(number, kind, width, height, *parameters)] = lines(model.files[0])
     assert (number, kind, width, height) == ("1", "PINHOLE", "640", "480")
@@ -106,4 +117,49 @@ def test_what_is_not_joined_stays_out(stored: StoredMap, tmp_path: Path) -> None
     [trajectory] = trajectories(replace(stored, frames=frames))
     assert len(trajectory) == 2
     assert len(keyframe_trajectories(stored)[0]) == len(world.alive_keyframes()) - 1
-    assert write_colmap(stored, tmp_path).n_images == len(world.alive_keyframes()) - 1
+    assert write_colmap(stored, images_of(stored), tmp_path).n_images == len(world.alive_keyframes()) - 1
+
+
+def test_colmap_images_are_undistorted_and_colour_the_points(stored: StoredMap, tmp_path: Path) -> None:
+    """Each keypoint has, in the image that was written, the colour of where the lens saw it."""
+    for k in stored.world.alive_keyframes().tolist():
+        stored.world.keyframes.image_index[k] = k
+    camera = replace(CAMERA, distortion=(0.05, -0.08, 0.002, -0.001, 0.01))
+    model = write_colmap(replace(stored, camera=camera), images_of(stored), tmp_path)
+    image_lines, n_checked = lines(model.files[1]), 0
+    expected: dict[int, list[tuple[float, float, float]]] = {}
+    for head, keypoints in zip(image_lines[::2], image_lines[1::2], strict=True):
+        bgr = cv2.imread(str(model.images / head[9]))
+        assert bgr is not None
+        assert bgr.shape == (480, 640, 3)
+        for u, v, point in np.array(keypoints, dtype=float).reshape(-1, 3):
+            [(column, row)] = camera.distort(np.array([[u - 0.5, v - 0.5]]))
+            if point < 0 or not (10 < column < 630 and 10 < row < 470 and 0.5 < u < 639 and 0.5 < v < 479):
+                continue
+            np.testing.assert_allclose(bgr[round(v - 0.5), round(u - 0.5), 1:], (row / 2, column / 3), atol=2.0)
+            expected.setdefault(int(point), []).append((column / 3, row / 2, 77.0))
+            n_checked += 1
+    assert n_checked > 200
+    n_coloured = 0
+    for line in lines(model.files[2]):
+        seen = expected.get(int(line[0]), [])
+        if len(seen) == len(line[8:]) // 2:  # else a keypoint of it lies at the border, where nothing is known
+            np.testing.assert_allclose(np.array(line[4:7], dtype=float), np.mean(seen, axis=0), atol=2.0)
+            n_coloured += 1
+    assert n_coloured > 50
+
+
+def test_keyframes_without_an_image_are_left_out_of_colmap(stored: StoredMap, tmp_path: Path) -> None:
+    alive = stored.world.alive_keyframes()
+    first = [(k, image) for k, image in images_of(stored) if k in alive[:2]]
+    model = write_colmap(stored, iter(first), tmp_path)
+    assert (model.n_images, model.n_without_image) == (2, len(alive) - 2)
+    named = {int(line[0]) for line in lines(model.files[1])[::2]}
+    assert named == set((alive[:2] + 1).tolist())
+    tracks = [line[8:] for line in lines(model.files[2])]
+    assert all(tracks)
+    assert {int(image) for track in tracks for image in track[::2]} <= named
+    in_images = {int(point) for line in lines(model.files[1])[1::2] for point in line[2::3]} - {-1}
+    assert in_images == {int(line[0]) for line in lines(model.files[2])}
+    with pytest.raises(MapError, match=r"storage\.images=true \[see troubleshooting: colmap\]"):
+        write_colmap(stored, iter(()), tmp_path)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from stillroom.errors import ConfigError, StillroomError
+from stillroom.errors import ConfigError, MapError, StillroomError
 
 # `stillroom map check`.
 
@@ -54,7 +54,7 @@ def export(
             "-f",
             metavar="NAME,…",
             help="trajectory, colmap, or of the dense map ply, pcd, mesh, occupancy, octomap; or all; repeatable. "
-            "\\[default: trajectory,colmap]",
+            "\\[default: trajectory, and colmap where the map keeps images]",
         ),
     ] = None,
     out: Annotated[
@@ -63,24 +63,30 @@ def export(
 ) -> None:
     """Export a map file for other programs.
 
-    Poses of frames and keyframes as .tum, the sparse map as COLMAP's text model. Dense formats are made from the images
-    of keyframes, which a map keeps where it was made with --set storage.images=true.
+    Poses of frames and keyframes as .tum; the sparse map as COLMAP's text model with its images, undistorted. COLMAP's
+    model and dense formats need the images of keyframes, which a map keeps where it was made with
+    --set storage.images=true.
 
         stillroom map export room.stillmap
         stillroom map export room.stillmap --format ply,mesh --out for_the_viewer
     """
     from stillroom.cli.output import print_lines, show_log
+    from stillroom.storage.map_export import no_images
     from stillroom.storage.reader import count_images, load_map
 
     show_log()
-    names = _chosen(name.strip() for part in format_ or [f"{TRAJECTORY},{COLMAP}"] for name in part.split(","))
-    stored = load_map(path)
+    names = _chosen(name.strip() for part in format_ or (TRAJECTORY,) for name in part.split(","))
+    stored, has_images = load_map(path), count_images(path) > 0
     if ALL in names:
-        names = [TRAJECTORY, COLMAP, *(_dense_formats() if count_images(path) else ())]
+        names = [TRAJECTORY, *((COLMAP, *_dense_formats()) if has_images else ())]
+    elif format_ is None and has_images:
+        names = [TRAJECTORY, COLMAP]
+    if COLMAP in names and not has_images:
+        raise MapError(f"{path}: {no_images('a COLMAP model')}")
     folder = _made(out or path.with_suffix(""))
     for name in names:
         if name in (TRAJECTORY, COLMAP):
-            print_lines(_write_sparse(name, stored, folder))
+            print_lines(_write_sparse(name, path, stored, folder))
     dense = tuple(name for name in names if name not in (TRAJECTORY, COLMAP))
     if dense:
         print_lines(_write_dense(dense, path, stored, folder))
@@ -109,14 +115,19 @@ def _made(folder: Path) -> Path:
     return folder
 
 
-def _write_sparse(name: str, stored: "StoredMap", folder: Path) -> list[str]:
+def _write_sparse(name: str, path: Path, stored: "StoredMap", folder: Path) -> list[str]:
     from stillroom.storage.map_export import write_colmap, write_trajectories
+    from stillroom.storage.reader import keyframe_images
 
     if name == TRAJECTORY:
         return [f"{path}: {n} poses" for path, n in write_trajectories(stored, folder)]
-    model = write_colmap(stored, folder)
+    model = write_colmap(stored, keyframe_images(path), folder)
     names = ", ".join(path.name for path in model.files)
-    return [f"{folder}: {names}: {model.n_images} images, {model.n_points} points"]
+    without = f"; {model.n_without_image} keyframes without an image left out" if model.n_without_image else ""
+    return [
+        f"{folder}: {names}: {model.n_images} images, {model.n_points} points{without}",
+        f"{model.images}: their images, undistorted",
+    ]
 
 
 def _write_dense(names: tuple[str, ...], path: Path, stored: "StoredMap", folder: Path) -> list[str]:

@@ -19,14 +19,15 @@ from stillroom.cli.arguments import (
 )
 from stillroom.data.association import TUM_MAX_GAP_S
 from stillroom.errors import ConfigError
+from stillroom.stopping import INTERRUPTED
 
 if TYPE_CHECKING:
     from stillroom.config import SlamConfig
     from stillroom.pipeline import RunOptions, RunOutcome, Source
     from stillroom.session.map_file import MapFile
 
-INTERRUPTED = 130
-
+NOTHING_TRACKED = 3
+"""Exit code of a run that went through and found no pose: what comes after it in a script would have nothing."""
 
 Map = Annotated[
     Path | None,
@@ -81,7 +82,7 @@ def run(
     """Track the camera through a sequence.
 
     Writes trajectory, figures and pictures into a folder in results/; Ctrl-C ends a run early and keeps the results so
-    far.
+    far. Exit code 3 says that nothing was tracked.
 
     An archive is unpacked once into the user's cache and stays there until you delete it.
 
@@ -126,7 +127,7 @@ def _map_file(path: Path | None, continue_: bool, localize: bool) -> "MapFile | 
 
 
 def _track(chosen: "SlamConfig", source: "Source", options: "RunOptions", detector_off: tuple[str, ...]) -> None:
-    from stillroom.cli.output import STDERR, RunBar, say, show_log
+    from stillroom.cli.output import STDERR, RunBar, print_error, say, show_log
     from stillroom.cli.warmup import ensure_warm
     from stillroom.datasets.recording import rendered
     from stillroom.pipeline import run as run_pipeline
@@ -148,6 +149,9 @@ def _track(chosen: "SlamConfig", source: "Source", options: "RunOptions", detect
     _report(outcome)
     if outcome.interrupted:
         raise typer.Exit(INTERRUPTED)
+    if outcome.why_untracked is not None:
+        print_error(f"nothing was tracked: {outcome.why_untracked} [see troubleshooting: nothing-tracked]")
+        raise typer.Exit(NOTHING_TRACKED)
 
 
 def _report(outcome: "RunOutcome") -> None:
@@ -158,7 +162,11 @@ def _report(outcome: "RunOutcome") -> None:
         print_evaluation(outcome.evaluation)
     else:
         share = percent(outcome.n_tracked / outcome.n_recorded if outcome.n_recorded else None)
-        why = "its ground truth gave no figures" if outcome.has_groundtruth else "no ground truth to compare with"
+        why = (
+            "too little to compare with the ground truth"
+            if outcome.has_groundtruth
+            else "no ground truth to compare with"
+        )
         print_lines([f"{outcome.n_tracked} of {outcome.n_recorded} frames tracked ({share}); {why}"])
     print_lines(_sentences(outcome))
 

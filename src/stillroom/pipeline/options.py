@@ -12,6 +12,7 @@ from stillroom.errors import ConfigError
 from stillroom.evaluation.report import Evaluation
 from stillroom.evaluation.timing import StageClock
 from stillroom.pipeline.ornaments import Ornaments
+from stillroom.pipeline.untracked import Seen, likely_reason
 from stillroom.protocols import Dataset, RunObserver, Segmenter
 from stillroom.session.map_file import MapFile
 from stillroom.session.plausibility import Doubt
@@ -38,8 +39,10 @@ class RunOutcome:
         pictures: What was drawn.
         ornaments: Counts the pictures that could not be drawn.
         map_file: Where the map was written; None if it was not.
+        localized_in: The map that was only tracked against; None where the run made a map of its own.
         masks: The folder of the masks of dynamic pixels of each frame; None if none were written.
         doubts: What is probably wrong with calibration, depth or times; each was said in the log.
+        seen: What the images were like.
     """
 
     method: str
@@ -55,8 +58,10 @@ class RunOutcome:
     pictures: tuple[Path, ...] = ()
     ornaments: Ornaments = field(default_factory=Ornaments)
     map_file: Path | None = None
+    localized_in: Path | None = None
     masks: Path | None = None
     doubts: list[Doubt] = field(default_factory=list)
+    seen: Seen = field(default_factory=Seen)
 
     @property
     def n_bad(self) -> int:
@@ -72,6 +77,13 @@ class RunOutcome:
     def n_tracked(self) -> int:
         """Images that have a pose; those in sub-maps that were never merged have none in the trajectory."""
         return sum(result.T_world_cam is not None for result in self.system.results) - self.n_apart
+
+    @property
+    def why_untracked(self) -> str | None:
+        """The likely reason, in one line, for which no image has a pose; None where one has, or none was given."""
+        if self.n_given == 0 or any(result.T_world_cam is not None for result in self.system.results):
+            return None
+        return likely_reason(self.seen, self.system.results, self.localized_in)
 
     @property
     def n_apart(self) -> int:

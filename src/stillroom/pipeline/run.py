@@ -19,6 +19,7 @@ from stillroom.pipeline.options import RunOptions, RunOutcome
 from stillroom.pipeline.ornaments import Ornamental
 from stillroom.pipeline.plots import draw_maps, draw_plots
 from stillroom.pipeline.stop_request import StopRequest
+from stillroom.pipeline.untracked import Seen
 from stillroom.protocols import Dataset, RunObserver
 from stillroom.semantics.detector import withhold
 from stillroom.semantics.mask_files import MaskFilesConfig
@@ -32,7 +33,6 @@ from stillroom.viz.recorder import PictureRecorderConfig
 
 log = logging.getLogger(__name__)
 MAX_UNREADABLE = 10
-BLACK_BELOW = 8
 LOADING = "loading"
 
 
@@ -71,7 +71,9 @@ SILENT = Silent()
 class Remarks:
     """Logs anomalies of a run: one line when an anomaly begins, not one for every frame."""
 
-    def __init__(self) -> None:
+    def __init__(self, seen: Seen) -> None:
+        """Begin; what the images are like is counted in `seen`."""
+        self._seen = seen
         self._n_unreadable = 0
         self._odd: dict[str, bool] = {}
 
@@ -85,9 +87,8 @@ class Remarks:
 
     def frame(self, image: RgbdImage, result: FrameSummary) -> None:
         """Log anomalies of an image, and where tracking is lost and resumes."""
-        is_black = int(image.rgb.max()) < BLACK_BELOW
+        is_black, no_depth = self._seen.add(image)
         self._begins("black", is_black, "image %d is black", image.index)
-        no_depth = not is_black and not image.depth_m.any()
         self._begins("no depth", no_depth, "image %d has no depth anywhere", image.index)
         # A black image explains the missing pose.
         was_lost = self._odd.get("lost", False)
@@ -136,6 +137,7 @@ def run(
         folder = _folder(dataset, slam.config, options)
         outcome = RunOutcome(config.method, folder, slam.system, slam.clock, doubts=slam.doubts)
         outcome.map_file, outcome.masks = slam.map_file, options.masks
+        outcome.localized_in = None if options.map is None else options.map.read_only
         if folder is not None:
             results.write_config(folder, dataset, slam.config, options)
         slam.observe(Ornamental(_recorder(folder, dataset, options.pictures), outcome.ornaments))
@@ -153,7 +155,7 @@ def run(
 
 
 def _track_all(dataset: Dataset, slam: Slam, outcome: RunOutcome, stop: StopRequest, progress: RunProgress) -> None:
-    remarks = Remarks()
+    remarks = Remarks(outcome.seen)
     for place in range(len(dataset)):
         if stop.asked:
             outcome.interrupted = True

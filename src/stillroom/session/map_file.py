@@ -41,6 +41,11 @@ class MapFile:
     path: Path
     use: MapUse = MapUse.NEW
 
+    @property
+    def read_only(self) -> Path | None:
+        """The file, where it is only tracked against; None where it is written."""
+        return self.path if self.use is MapUse.LOCALIZE else None
+
     def described(self) -> dict[str, str]:
         """Return what config.toml says of it."""
         return {"map": str(self.path), "map_use": self.use.value}

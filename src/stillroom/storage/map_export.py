@@ -1,30 +1,31 @@
-"""The map as COLMAP's text model (colmap.github.io/format.html): cameras.txt, images.txt, points3D.txt.
+"""A map for other programs: as COLMAP's model with its images, and as trajectories."""
 
-COLMAP counts from 1, puts the centre of the upper left pixel at (0.5, 0.5) and stores `T_cam_world`. The keypoints of a
-map are undistorted, so the camera is a pinhole; images for it must be undistorted too.
-"""
-
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 
+from stillroom.data.image import RgbdImage
 from stillroom.data.map import Map, submaps
+from stillroom.data.replacing import cannot_be_written, replace_text, replacing
 from stillroom.data.trajectory import Trajectory
+from stillroom.errors import MapError
 from stillroom.geometry import se3
-from stillroom.geometry.arrays import F64, I64, U8
+from stillroom.geometry.arrays import F64, I64, U8, Bool
 from stillroom.geometry.camera import Camera
 from stillroom.storage.schema import StoredMap
 
 GREY = 128
+IMAGES = "images"
 _CAMERA_ID = 1
 
 
 # The map as COLMAP's text model (colmap.github.io/format.html): cameras.txt, images.txt, points3D.txt.
 #
-# COLMAP counts from 1, puts the centre of the upper left pixel at (0.5, 0.5) and stores `T_cam_world`. The keypoints
-# of a
-# map are undistorted, so the camera is a pinhole; images for it must be undistorted too.
+# COLMAP counts from 1, puts the centre of the upper left pixel at (0.5, 0.5) and stores `T_cam_world`. The keypoints of
+# a map are undistorted, so the camera is a pinhole, and the images beside the model are undistorted too.
 
 
 @dataclass(frozen=True)
@@ -33,35 +34,109 @@ class ColmapModel:
 
     Attributes:
         files: cameras.txt, images.txt, points3D.txt.
+        images: The folder that the names in images.txt are relative to.
         n_images, n_points: Keyframes and points in them.
+        n_without_image: Keyframes that were left out, as the map keeps no image of them.
     """
 
     files: tuple[Path, Path, Path]
+    images: Path
     n_images: int
     n_points: int
+    n_without_image: int
 
 
-def write_colmap(stored: StoredMap, folder: Path, colours: U8 | None = None) -> ColmapModel:
-    """Write the text model of a map, of its main sub-map where there are several.
+def write_colmap(stored: StoredMap, images: Iterable[tuple[int, RgbdImage]], folder: Path) -> ColmapModel:
+    """Write the text model of a map, of its main sub-map where there are several, and the images that it names.
 
     Args:
         stored: The map.
-        folder: Where the three files go.
-        colours: Colour of each point (P, 3), by its id; grey where not given.
+        images: Keyframes' ids and images, as `keyframe_images` yields them; keyframes without one are left out.
+        folder: Where the three files go, and the images, undistorted, below `images/`.
+
+    Raises:
+        MapError: There is no image of any keyframe.
+        StillroomError: A file cannot be written.
     """
     world, camera = stored.world, stored.camera
     main = submaps.main(world)
     alive = world.alive_keyframes()
     alive = alive[world.keyframes.submap[alive] == main]
+    has_image = np.zeros(len(world.keyframes), dtype=np.bool_)
+    colours = _Colours(world)
+    for keyframe, image in images:
+        if keyframe not in alive:
+            continue
+        rgb = _undistorted(image.rgb, camera)
+        _write_png(folder / IMAGES / _image_name(stored, keyframe), rgb)
+        colours.add(keyframe, rgb)
+        has_image[keyframe] = True
+    shown = alive[has_image[alive]]
+    if len(shown) == 0:
+        raise no_images("a COLMAP model")
     points = np.flatnonzero(world.points.is_alive & (world.points.n_keyframes > 0))
     points = points[submaps.of_points(points, world) == main]
+    place, rows = world.observations(points)
+    points = points[np.bincount(place, weights=has_image[world.keypoints.keyframe[rows]], minlength=len(points)) > 0]
     files = folder / "cameras.txt", folder / "images.txt", folder / "points3D.txt"
-    files[0].write_text(_camera_line(camera), encoding="utf-8")
-    files[1].write_text("".join(_image_lines(world, int(k), _session(stored, int(k))) for k in alive), encoding="utf-8")
-    grey: U8 = np.full((len(world.points), 3), GREY, dtype=np.uint8)
-    text = _point_lines(world, camera, points, grey if colours is None else colours)
-    files[2].write_text(text, encoding="utf-8")
-    return ColmapModel(files, len(alive), len(points))
+    replace_text(files[0], _camera_line(camera))
+    replace_text(files[1], "".join(_image_lines(world, int(k), _image_name(stored, int(k))) for k in shown))
+    replace_text(files[2], _point_lines(world, camera, points, has_image, colours.mean()))
+    return ColmapModel(files, folder / IMAGES, len(shown), len(points), len(alive) - len(shown))
+
+
+def no_images(wanted: str) -> MapError:
+    """Return what is to be said of a map that keeps no images where they are needed."""
+    return MapError(
+        f"the map keeps no images to make {wanted} of; make it again with --set storage.images=true "
+        "[see troubleshooting: colmap]"
+    )
+
+
+class _Colours:
+    """Adds up what colours the keypoints of each point have."""
+
+    def __init__(self, world: Map) -> None:
+        self._world = world
+        self._sums = np.zeros((len(world.points), 3))
+        self._n = np.zeros(len(world.points))
+
+    def add(self, keyframe: int, rgb: U8) -> None:
+        """Take the colours of an undistorted image (H, W, 3)."""
+        px = np.rint(self._world.keypoints.px[self._world.rows(keyframe)]).astype(np.int64)
+        seen = self._world.points_of(keyframe)
+        height, width = rgb.shape[:2]
+        usable = (seen >= 0) & np.all((px >= 0) & (px < (width, height)), axis=1)
+        np.add.at(self._sums, seen[usable], rgb[px[usable, 1], px[usable, 0]])
+        np.add.at(self._n, seen[usable], 1)
+
+    def mean(self) -> U8:
+        """Return the colour of each point (P, 3); grey where no keypoint of it lies within an image."""
+        means = np.where(self._n[:, None] > 0, self._sums / np.maximum(self._n, 1)[:, None], GREY)
+        return np.rint(means).astype(np.uint8)
+
+
+def _undistorted(rgb: U8, camera: Camera) -> U8:
+    """Return an image as a pinhole of the same intrinsics would take it; black where the lens saw nothing."""
+    if not camera.is_distorted:
+        return rgb
+    moved: U8 = np.asarray(cv2.undistort(rgb, camera.K, np.asarray(camera.distortion)), dtype=np.uint8)
+    return moved
+
+
+def _write_png(path: Path, rgb: U8) -> None:
+    _, png = cv2.imencode(".png", cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR))
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise cannot_be_written(path, error) from error
+    with replacing(path, durable=False) as file:
+        file.write(png.tobytes())
+
+
+def _image_name(stored: StoredMap, keyframe: int) -> str:
+    session = max(0, sum(session.first_keyframe <= keyframe for session in stored.sessions) - 1)
+    return f"session{session}/{int(stored.world.keyframes.image_index[keyframe]):06d}.png"
 
 
 def _camera_line(camera: Camera) -> str:
@@ -70,16 +145,11 @@ def _camera_line(camera: Camera) -> str:
     return f"# CAMERA_ID MODEL WIDTH HEIGHT fx fy cx cy\n1 PINHOLE {camera.width} {camera.height} {parameters}\n"
 
 
-def _session(stored: StoredMap, keyframe: int) -> int:
-    return max(0, sum(session.first_keyframe <= keyframe for session in stored.sessions) - 1)
-
-
-def _image_lines(world: Map, keyframe: int, session: int) -> str:
+def _image_lines(world: Map, keyframe: int, name: str) -> str:
     """Return the two lines of an image: its pose, and its observations."""
     T_cam_world = se3.inverse(world.keyframes.T_world_cam[keyframe])
     x, y, z, w = se3.to_quaternions_xyzw(T_cam_world[None])[0]
     pose = " ".join(f"{value:.12g}" for value in (w, x, y, z, *T_cam_world[:3, 3]))
-    name = f"session{session}/{int(world.keyframes.image_index[keyframe]):06d}.png"
     px = world.keypoints.px[world.rows(keyframe)] + 0.5
     seen = world.points_of(keyframe)
     ids = np.where(seen >= 0, seen.astype(np.int64) + 1, -1)
@@ -87,9 +157,11 @@ def _image_lines(world: Map, keyframe: int, session: int) -> str:
     return f"{keyframe + 1} {pose} {_CAMERA_ID} {name}\n{found}\n"
 
 
-def _point_lines(world: Map, camera: Camera, points: I64, colours: U8) -> str:
-    """Return a line for each point: position, colour, mean error [px], and its observations."""
+def _point_lines(world: Map, camera: Camera, points: I64, has_image: Bool, colours: U8) -> str:
+    """Return a line for each point: where it is, its colour, its mean error [px], and which images show it."""
     place, rows = world.observations(points)
+    is_shown = has_image[world.keypoints.keyframe[rows]]
+    place, rows = place[is_shown], rows[is_shown]
     keyframes = world.keypoints.keyframe[rows]
     places_px = rows - world.keyframes.first_row[keyframes]
     error_px = _errors_px(world, camera, points[place], rows)

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from stillroom.cli.arguments import MAX_GAP_S
+from stillroom.data.association import TUM_MAX_GAP_S
 from stillroom.data.trajectory import read_tum
 
 STILLROOM = [sys.executable, "-m", "stillroom.cli.main"]
@@ -110,3 +112,7 @@ def test_the_whole_bonn_stretch(bonn: Path, tmp_path: Path) -> None:
     assert metrics["as_given"]["n_compared"] == 559
     assert metrics["coverage"] >= 0.99
     assert metrics["run"]["peak_memory_mb"] <= 1000
+
+
+def test_the_default_of_max_gap_is_that_of_the_pairing() -> None:
+    assert MAX_GAP_S == TUM_MAX_GAP_S

@@ -5,6 +5,9 @@ from typing import Annotated
 
 import typer
 
+MAX_GAP_S = 0.02
+"""`TUM_MAX_GAP_S` of `data.association`, here because that one loads numpy, and `--help` does not."""
+
 Method = Annotated[
     str | None,
     typer.Option("--method", "-m", metavar="NAME", help="The method; see 'stillroom methods'. \\[default: oc-slam]"),

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from stillroom.data.association import TUM_MAX_GAP_S
+from stillroom.cli.arguments import MAX_GAP_S
 from stillroom.errors import ConfigError, TrajectoryError
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ def evaluate(
         Path | None, typer.Option(metavar="PATH", help="Another folder, or file, to report the improvement over.")
     ] = None,
     out: Out = None,
-    max_gap: MaxGap = TUM_MAX_GAP_S,
+    max_gap: MaxGap = MAX_GAP_S,
     offset: Offset = "0",
     interpolate: Interpolate = False,
     json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON; write nothing.")] = False,

@@ -5,8 +5,18 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from stillroom.cli.arguments import ConfigFile, DepthOffset, Fps, MaxGap, Method, PairBy, Seed, Settings, TimeUnit
-from stillroom.data.association import TUM_MAX_GAP_S
+from stillroom.cli.arguments import (
+    MAX_GAP_S,
+    ConfigFile,
+    DepthOffset,
+    Fps,
+    MaxGap,
+    Method,
+    PairBy,
+    Seed,
+    Settings,
+    TimeUnit,
+)
 
 if TYPE_CHECKING:
     from stillroom.config import SlamConfig
@@ -41,7 +51,7 @@ def inpaint(
     fps: Fps = None,
     time_unit: TimeUnit = None,
     pair_by: PairBy = None,
-    max_gap: MaxGap = TUM_MAX_GAP_S,
+    max_gap: MaxGap = MAX_GAP_S,
     depth_offset: DepthOffset = 0.0,
     out: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Write into this new folder. \\[default: a new one in results/]")

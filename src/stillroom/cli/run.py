@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from stillroom.cli.arguments import (
+    MAX_GAP_S,
     ConfigFile,
     DepthOffset,
     Fps,
@@ -17,7 +18,6 @@ from stillroom.cli.arguments import (
     Settings,
     TimeUnit,
 )
-from stillroom.data.association import TUM_MAX_GAP_S
 from stillroom.errors import ConfigError
 from stillroom.stopping import INTERRUPTED
 
@@ -69,7 +69,7 @@ def run(
     fps: Fps = None,
     time_unit: TimeUnit = None,
     pair_by: PairBy = None,
-    max_gap: MaxGap = TUM_MAX_GAP_S,
+    max_gap: MaxGap = MAX_GAP_S,
     depth_offset: DepthOffset = 0.0,
     out: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Write into this new folder. \\[default: a new one in results/]")

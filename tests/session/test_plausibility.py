@@ -56,6 +56,8 @@ DOUBTFUL = {
         {"fx": 271, "fy": 271, "cx": 158, "cy": 119, **STRAIGHT},
         "of another resolution, or a crop?",
     ),
+    "small": ({"width": 160, "height": 120, "cx": 79.0, "cy": 59.0, "fx": 135.0, "fy": 135.0}, "too few pixels"),
+    "large": ({"width": 1920, "height": 1440, "cx": 950.0, "cy": 713.0, "fx": 1628.0, "fy": 1628.0}, "halve them"),
     "too wide": ({"fx": 170.0, "fy": 170.0, **STRAIGHT}, "a field of view of 124 degrees"),
     "not square": ({"fy": 400.0}, "differ by more than 20%"),
     "folding in the corners": ({"distortion": (-0.3, 0.0, 0.0, 0.0, 0.0)}, r"folds inside the image: 1\.\d% of its"),

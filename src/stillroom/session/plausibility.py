@@ -28,6 +28,8 @@ MOST_FOLDED = 0.05
 LEAST_NEAR_M, LEAST_FAR_M, MOST_FAR_M = 0.2, 0.9, 10.0
 """Percentiles 1 and 99 of depths that are usual: RGB-D cameras measure nothing nearer and little that is farther, and
 in a room they see more than what is within reach."""
+USUAL_WIDTH_PX = 320, 960
+"""Image widths that thresholds in pixels, which are those of images 640 pixels wide, were tried at."""
 N_DEPTHS = 5
 """Images whose depths are looked at."""
 DEPTH_STEP_PX = 7
@@ -102,6 +104,13 @@ def doubts_of_camera(camera: Camera) -> Iterator[Doubt]:
         )
     if not 1.0 / SQUARE < camera.fx / camera.fy < SQUARE:
         yield Doubt("intrinsics", f"fx {camera.fx:g} and fy {camera.fy:g} differ by more than {SQUARE - 1:.0%}")
+    if not USUAL_WIDTH_PX[0] <= camera.width <= USUAL_WIDTH_PX[1]:
+        size, way = ("few", "record larger ones") if camera.width < USUAL_WIDTH_PX[0] else ("many", "halve them")
+        yield Doubt(
+            "image-size",
+            f"images of {camera.width}×{camera.height} have too {size} pixels for thresholds that are made for "
+            f"640×480: tracking may fail or be worse; {way} if you can",
+        )
     if (folded := _folded(camera)) > 0.0:
         yield Doubt("distortion", _fold_text(camera, folded))
 

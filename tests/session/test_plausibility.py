@@ -14,7 +14,7 @@ import stillroom as sr
 from stillroom.datasets.camera_file import NAMED_CAMERAS, write_camera
 from stillroom.errors import CalibrationError
 from stillroom.pipeline import RunOptions, run
-from stillroom.session.plausibility import DepthRange, doubts_of_camera, require_possible
+from stillroom.session.plausibility import DepthRange, ImageTimes, doubts_of_camera, require_possible
 
 BONN = sr.camera("bonn")
 N_FRAMES = 6
@@ -84,6 +84,16 @@ def test_a_depth_factor_five_times_off_is_told_from_real_depths(name, request):
         looker = DepthRange(5000.0 / scale)
         doubts = [doubt for depth_m in depths_m for doubt in looker.add(depth_m * np.float32(scale))]
         assert [said in str(doubt) for doubt in doubts] == ([] if said is None else [True]), (scale, doubts)
+
+
+TOLD = ["image-times"]
+
+
+@pytest.mark.parametrize(("step", "expected"), [(1 / 30, []), (33.3, TOLD), (1.0, TOLD), (33e-6, TOLD)])
+def test_times_in_another_unit_are_told_once(step, expected):
+    looker = ImageTimes()
+    doubts = [doubt for number in range(30) for doubt in looker.add(1000.0 + number * step)]
+    assert [doubt.name for doubt in doubts] == expected
 
 
 def test_images_without_any_depth_are_told_once():

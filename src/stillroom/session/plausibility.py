@@ -30,6 +30,9 @@ LEAST_NEAR_M, LEAST_FAR_M, MOST_FAR_M = 0.2, 0.9, 10.0
 in a room they see more than what is within reach."""
 USUAL_WIDTH_PX = 320, 960
 """Image widths that thresholds in pixels, which are those of images 640 pixels wide, were tried at."""
+USUAL_STEP_S = 0.002, 0.5
+"""Time between images that the memories of sieves, which compare with images 0.2 to 10 s old, can work with."""
+N_STEPS = 8
 N_DEPTHS = 5
 """Images whose depths are looked at."""
 DEPTH_STEP_PX = 7
@@ -144,6 +147,29 @@ class DepthRange:
                 f"depths go from {near_m:.2f} to {far_m:.2f} m, unusual for an RGB-D camera in a room; the depth "
                 f"factor, {self._depth_factor:g} units per metre, may be too {size} (TUM's and Bonn's files have 5000, "
                 "files in millimetres 1000)",
+            )
+
+
+class ImageTimes:
+    """Looks at the times of the first images, and says once whether they can be seconds."""
+
+    def __init__(self) -> None:
+        """Start before the first image."""
+        self._times_s: list[float] = []
+
+    def add(self, timestamp_s: float) -> Iterator[Doubt]:
+        """Look at the time of an image [s]; yield a doubt when enough are seen."""
+        if len(self._times_s) > N_STEPS:
+            return
+        self._times_s.append(timestamp_s)
+        if len(self._times_s) <= N_STEPS:
+            return
+        step_s = float(np.median(np.diff(self._times_s)))
+        if not USUAL_STEP_S[0] <= step_s <= USUAL_STEP_S[1]:
+            yield Doubt(
+                "image-times",
+                f"images come every {step_s:g} s, and the memories of sieves, which ask for images 0.2 to 10 s old, "
+                "find none of the age they want; are the times in seconds?",
             )
 
 

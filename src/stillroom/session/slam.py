@@ -25,7 +25,7 @@ from stillroom.presets.registry import configure
 from stillroom.protocols import RunObserver, Segmenter
 from stillroom.session import one_thread
 from stillroom.session.map_file import MapFile, MapUse, OpenedMap, opened_map, session_of
-from stillroom.session.plausibility import DepthRange, Doubt, doubts_of_camera, require_possible
+from stillroom.session.plausibility import DepthRange, Doubt, ImageTimes, doubts_of_camera, require_possible
 from stillroom.storage.schema import FrameNote, StoredMap
 from stillroom.storage.writer import save_map
 from stillroom.system import System, build
@@ -96,7 +96,7 @@ class Slam:
         self.config = config if file is None else file.fitting(config)
         self.camera, self.clock = camera, StageClock()
         self.doubts: list[Doubt] = []
-        self._depths = DepthRange(camera.depth_factor)
+        self._depths, self._times = DepthRange(camera.depth_factor), ImageTimes()
         self._sequence, self._observers, self._newest = sequence, list(observers), _Newest()
         self._n_given, self._last_s, self._is_open = 0, -np.inf, True
         with ExitStack() as opening:
@@ -144,6 +144,7 @@ class Slam:
         if image.index < 0:
             image = replace(image, index=self._n_given)
         self._n_given, self._last_s = self._n_given + 1, image.timestamp_s
+        self.doubt(self._times.add(image.timestamp_s))
         self.doubt(self._depths.add(image.depth_m))
         is_first = len(self.system.results) == 0
         with self.clock.stage(FRAME), said_when_compiling() if is_first else nullcontext():

@@ -38,6 +38,8 @@ N_DEPTHS = 5
 DEPTH_STEP_PX = 7
 SCALE = 1.2
 """Scale of a trajectory against the truth that is doubtful, or its inverse."""
+EXPLAINED = 0.5
+"""Share of the error that must be left after scaling at most, or something else than scale is wrong."""
 MOVED_M = 0.05
 """The truth must have moved by this much (RMS about its mean) to say anything about scale or about standing still."""
 
@@ -178,7 +180,8 @@ def doubts_of_figures(evaluation: Evaluation) -> Iterator[Doubt]:
     found = evaluation.as_given
     if found.still_camera_m < MOVED_M:
         return
-    if not 1.0 / SCALE < found.scale < SCALE:
+    explained = found.ate_sim3_m.rmse < EXPLAINED * found.ate_se3_m.rmse
+    if explained and not 1.0 / SCALE < found.scale < SCALE:
         yield Doubt(
             "scale",
             f"the trajectory fits the ground truth best when it is scaled by {found.scale:.2f}; the depth factor or "
@@ -188,7 +191,8 @@ def doubts_of_figures(evaluation: Evaluation) -> Iterator[Doubt]:
         yield Doubt(
             "worse-than-static",
             f"ATE {found.ate_se3_m.rmse:.3f} m is worse than that of a camera that never moves "
-            f"({found.still_camera_m:.3f} m); check calibration, depth factor, and the times of images and truth",
+            f"({found.still_camera_m:.3f} m); check calibration, depth factor, the times of images and truth, and "
+            "whether what moves was taken for static",
         )
 
 

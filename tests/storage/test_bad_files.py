@@ -235,3 +235,12 @@ def test_a_new_map_makes_its_folders_and_nothing_else(tmp_path: Path) -> None:
     with MapWriter.create(path, life.world, CAMERA):
         pass
     assert [file for file in tmp_path.rglob("*") if file.is_file()] == [path]
+
+
+def test_what_sqlite_quotes_of_a_damaged_file_stays_in_one_line(tmp_path: Path) -> None:
+    with (
+        pytest.raises(MapError, match=r"is damaged \(malformed schema \( 1\), w\)\)") as raised,
+        opening.naming(tmp_path / "m"),
+    ):
+        raise sqlite3.DatabaseError("malformed schema ( 1),\n    w)")
+    assert "\n" not in str(raised.value)

@@ -130,7 +130,10 @@ def convert(value: Any, kind: Any, name: str) -> Any:
             raise _wrong(value, kind, name)
         return Path(text).expanduser() if kind is Path else text
     if kind is float and isinstance(plain, int) and not isinstance(plain, bool):
-        return float(plain)
+        try:
+            return float(plain)
+        except OverflowError:
+            raise _wrong(value, kind, name) from None
     if kind not in WORDS:
         raise TypeError(f"{name}: a config field cannot be of type {kind}")
     if type(plain) is not kind:

@@ -16,4 +16,6 @@ def read_text(path: Path) -> str:
     content = path.read_bytes()
     if content.startswith(UTF_16):
         raise UnicodeError("it is UTF-16; save it as UTF-8")
+    if b"\0" in content:  # no file can have such a name, and no text has such a letter
+        raise UnicodeError("it holds zero bytes, so it is no text")
     return content.decode("utf-8-sig")

@@ -35,7 +35,8 @@ UNREADABLE = (
     zlib.error,
     lzma.LZMAError,
     EOFError,
-    RuntimeError,  # zipfile's word for an encrypted member
+    RuntimeError,  # zipfile's word for an encrypted member, and for a compression that it does not know
+    UnicodeError,  # a member's name
 )
 
 

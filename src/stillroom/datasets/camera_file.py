@@ -108,7 +108,14 @@ def _number(path: Path, values: dict[str, Any], key: str) -> float:
     value = values[key]
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise CalibrationError(f"{path}: '{key}' is {value!r}; it must be a number")
-    return float(value)
+    return _float(path, key, value)
+
+
+def _float(path: Path, key: str, value: float) -> float:
+    try:
+        return float(value)
+    except OverflowError:  # TOML's whole numbers have any length
+        raise CalibrationError(f"{path}: '{key}' has a number of {len(str(value))} digits") from None
 
 
 def _integer(path: Path, values: dict[str, Any], key: str) -> int:
@@ -127,7 +134,7 @@ def _distortion(path: Path, values: dict[str, Any]) -> tuple[float, float, float
     is_five = isinstance(given, list) and len(given) == 5
     if not is_five or any(isinstance(v, bool) or not isinstance(v, int | float) for v in given):
         raise CalibrationError(f"{path}: 'distortion' is {given!r}; it must be five numbers [k1, k2, p1, p2, k3]")
-    k1, k2, p1, p2, k3 = (float(value) for value in given)
+    k1, k2, p1, p2, k3 = (_float(path, "distortion", value) for value in given)
     return k1, k2, p1, p2, k3
 
 

@@ -25,6 +25,9 @@ JPEG_START, JPEG_END = b"\xff\xd8", b"\xff\xd9"
 log = logging.getLogger(__name__)
 GROUNDTRUTH_NAME = "groundtruth.txt"
 NO_DEPTH = 65535
+MOST_PIXELS = 100_000_000
+JPEG_NO_FRAMES = frozenset((0xC4, 0xC8, 0xCC))
+"""Markers among those of JPEG's frame headers that begin tables."""
 PROBED_FRAMES = 5
 LONG_GAP_S = 1.0
 
@@ -81,6 +84,9 @@ def _decode(path: Path, flags: int) -> U8 | U16:
         raise FrameError(f"{path}: no such image, though the sequence lists it") from None
     except OSError as error:
         raise FrameError(f"{path}: cannot be read ({error.strerror})") from error
+    n_pixels = _declared_pixels(encoded)
+    if n_pixels > MOST_PIXELS:
+        raise FrameError(f"{path}: does not decode as an image of a camera (its header names {n_pixels} pixels)")
     if _is_cut_off(encoded):
         raise FrameError(f"{path}: the image is cut off after {len(encoded)} bytes; fetch the sequence again")
     try:
@@ -92,6 +98,29 @@ def _decode(path: Path, flags: int) -> U8 | U16:
     return pixels  # type: ignore[return-value]  # OpenCV types it as any integer or float array
 
 
+def _declared_pixels(encoded: bytes) -> int:
+    """Return how many pixels the header of a PNG or JPEG names; 0 for other formats. Room is made for all of them."""
+    if encoded.startswith(PNG_START):
+        width, height = int.from_bytes(encoded[16:20], "big"), int.from_bytes(encoded[20:24], "big")
+        return width * height
+    at = 2
+    while encoded.startswith(JPEG_START) and at + 9 <= len(encoded) and encoded[at] == 0xFF:
+        marker, length = encoded[at + 1], int.from_bytes(encoded[at + 2 : at + 4], "big")
+        if 0xC0 <= marker <= 0xCF and marker not in JPEG_NO_FRAMES:
+            height, width = (int.from_bytes(encoded[at + k : at + k + 2], "big") for k in (5, 7))
+            return width * height
+        at += 2 + length
+    return 0
+
+
+def _has_whole_chunks(encoded: bytes) -> bool:
+    """Return whether a PNG's chunks are as long as they say, which is what decoders make room for."""
+    at = 8
+    while at + 12 <= len(encoded) and encoded[at + 4 : at + 8] != b"IEND":
+        at += 12 + int.from_bytes(encoded[at : at + 4], "big")
+    return at + 12 <= len(encoded)
+
+
 def _is_cut_off(encoded: bytes) -> bool:
     """Return whether a PNG or JPEG lacks its end.
 
@@ -100,7 +129,7 @@ def _is_cut_off(encoded: bytes) -> bool:
     coded pixels themselves cannot contain it.
     """
     if encoded.startswith(PNG_START):
-        return PNG_END not in encoded[-64:]
+        return PNG_END not in encoded[-64:] or not _has_whole_chunks(encoded)
     return encoded.startswith(JPEG_START) and JPEG_END not in encoded[len(encoded) // 2 :]
 
 

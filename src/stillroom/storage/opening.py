@@ -232,11 +232,16 @@ def naming(path: Path) -> Iterator[None]:
         if "locked" in str(error):
             raise MapError(f"{path}: is in use by another run; wait for its end, or choose another map") from error
         row = " [see troubleshooting: disk-full]" if _kind(error) == sqlite3.SQLITE_FULL else ""
-        raise MapError(f"{path}: {error}{row}") from error
+        raise MapError(f"{path}: {_in_one_line(error)}{row}") from error
     except (sqlite3.DatabaseError, UnicodeDecodeError) as error:  # what SQLite quotes of a damaged file may be no text
-        raise MapError(f"{path}: is damaged ({error}); 'stillroom map check {path}' says more") from error
+        raise MapError(f"{path}: is damaged ({_in_one_line(error)}); 'stillroom map check {path}' says more") from error
     except OSError as error:
         raise MapError(str(cannot_be_written(path, error))) from error
+
+
+def _in_one_line(error: Exception) -> str:
+    """Return a message without the line breaks of what it quotes of a damaged file."""
+    return " ".join(str(error).split())
 
 
 def _kind(error: sqlite3.Error) -> int | None:

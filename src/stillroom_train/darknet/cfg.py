@@ -1,5 +1,6 @@
 """Read darknet's cfg: a text with one section a layer."""
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -44,9 +45,12 @@ class _Section:
     def numbers(self, key: str) -> list[float]:
         """Return the comma-separated numbers of a key."""
         try:
-            return [float(word) for word in self.options.get(key, "").split(",")]
+            numbers = [float(word) for word in self.options.get(key, "").split(",")]
         except ValueError:
-            raise WeightsError(f"{self.where}: [{self.name}] {key} is not a list of numbers") from None
+            numbers = [math.nan]
+        if not all(map(math.isfinite, numbers)):
+            raise WeightsError(f"{self.where}: [{self.name}] {key} is not a list of numbers")
+        return numbers
 
     def allow_only(self, *known: str) -> None:
         """Refuse unknown options, which could change the result."""

@@ -2,6 +2,7 @@
 
 import hashlib
 import zipfile
+import zlib
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from importlib.resources import files
@@ -190,7 +191,18 @@ def load_vocabulary(path: Path | None = None) -> Vocabulary:
         raise VocabularyError(
             f"{place}: no such file; make one with `stillroom train-vocabulary SEQUENCE --out FILE`"
         ) from None
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+    except (
+        OSError,
+        ValueError,
+        TypeError,
+        KeyError,
+        IndexError,
+        AttributeError,
+        EOFError,
+        zipfile.BadZipFile,
+        zlib.error,
+        NotImplementedError,  # zipfile, of a version or compression that it does not know
+    ) as error:
         raise VocabularyError(
             f"{place}: not a vocabulary of stillroom ({error}); make one with `stillroom train-vocabulary`"
         ) from error

@@ -20,9 +20,7 @@ Settings = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="Change one value, such as tracking.min_inliers=20; repeatable."),
 ]
-Seed = Annotated[
-    int | None, typer.Option("--seed", metavar="N", help="Where every random choice starts. \\[default: 0]")
-]
+Seed = Annotated[int | None, typer.Option("--seed", metavar="N", help="Seed of all random choices. \\[default: 0]")]
 Fps = Annotated[
     float | None, typer.Option(metavar="N", help="Frame rate, where names or lists of images tell no times.")
 ]

@@ -52,7 +52,7 @@ class Ornaments:
 
 
 class Ornamental:
-    """Somebody who looks on and makes pictures, whose failures a run does not hear of."""
+    """An observer that makes pictures, and whose failures do not reach the run."""
 
     def __init__(self, inner: RunObserver, ornaments: Ornaments) -> None:
         """Stand between a run and an observer."""

@@ -32,7 +32,7 @@ class Plan:
         out: Folder for the checkpoint, the log and the ONNX file.
         backbone: "mobilenetv2" or "resnet50".
         recipe: How it learns.
-        seed: Where every random choice starts.
+        seed: Seed of all random choices.
         device: As torch calls it; "cuda" under torchrun is the process's own.
         log_every: Steps between lines of the log.
         store_every: Steps between checkpoints.

@@ -118,7 +118,7 @@ def _receive(address: str, part: Path, name: str, progress: DownloadProgress) ->
 
 
 def _after_the_end(address: str, part: Path, name: str, progress: DownloadProgress, content_range: str | None) -> None:
-    """Handle a part that reaches the file's end: it is complete, or of another file and is fetched anew."""
+    """Handle a part that reaches the file's end: it is complete, or of another file and is fetched again."""
     have = part.stat().st_size
     if content_range == f"bytes */{have}":
         progress(name, have, have)

@@ -21,6 +21,13 @@ Settings = Annotated[
     typer.Option("--set", metavar="KEY=VALUE", help="Change one value, such as tracking.min_inliers=20; repeatable."),
 ]
 Seed = Annotated[int | None, typer.Option("--seed", metavar="N", help="Seed of all random choices. \\[default: 0]")]
+Frames = Annotated[str | None, typer.Option(metavar="A:B", help="Use these frames only, such as 200:560.")]
+CameraName = Annotated[
+    str | None, typer.Option(metavar="NAME|FILE", help="The calibration, where it is not the sequence's own.")
+]
+Out = Annotated[
+    Path | None, typer.Option(metavar="DIR", help="Write into this new folder. \\[default: a new one in results/]")
+]
 Fps = Annotated[
     float | None, typer.Option(metavar="N", help="Frame rate, where names or lists of images tell no times.")
 ]

@@ -16,11 +16,11 @@ from stillroom.pipeline.plots import draw_plots
 from stillroom.pipeline.results import PICTURES
 from stillroom.presets.registry import configure
 from stillroom.protocols import Dataset
+from stillroom.stopping import INTERRUPTED
 
 ROOM = "synthetic:walking"
 BASELINE, METHOD = "orb-slam2", "oc-slam"
 N_PICTURES = 4
-INTERRUPTED = 130
 HEADER = ("method", "ATE [m]", "of static-pose ATE", "frames tracked", "improvement")
 
 

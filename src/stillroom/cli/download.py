@@ -11,8 +11,7 @@ from stillroom.cli.output import STDERR, print_lines, say
 from stillroom.data.locations import data_home, models_home
 from stillroom.download import OFFICIAL, PSPNET_R50
 from stillroom.download import download as fetch_target
-
-INTERRUPTED = 130
+from stillroom.stopping import INTERRUPTED
 
 
 def download(

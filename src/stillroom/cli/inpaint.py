@@ -7,16 +7,20 @@ import typer
 
 from stillroom.cli.arguments import (
     MAX_GAP_S,
+    CameraName,
     ConfigFile,
     DepthOffset,
     Fps,
+    Frames,
     MaxGap,
     Method,
+    Out,
     PairBy,
     Seed,
     Settings,
     TimeUnit,
 )
+from stillroom.stopping import INTERRUPTED
 
 if TYPE_CHECKING:
     from stillroom.config import SlamConfig
@@ -25,7 +29,6 @@ if TYPE_CHECKING:
     from stillroom.protocols import Dataset
     from stillroom.system import System
 
-INTERRUPTED = 130
 MAP_EVERY = 30
 
 
@@ -34,7 +37,7 @@ def inpaint(
         str, typer.Argument(metavar="SEQUENCE", help="A folder, an archive, a known name, or synthetic:walking.")
     ],
     method: Method = None,
-    frames: Annotated[str | None, typer.Option(metavar="A:B", help="Use these frames only, such as 200:560.")] = None,
+    frames: Frames = None,
     every: Annotated[
         int, typer.Option(min=0, metavar="N", help="Write every N-th frame as an image; 0: none, the video only.")
     ] = 1,
@@ -45,17 +48,13 @@ def inpaint(
         bool, typer.Option("--from-map", help="Fill what no keyframe saw from the dense map, if the method makes one.")
     ] = False,
     seed: Seed = None,
-    camera: Annotated[
-        str | None, typer.Option(metavar="NAME|FILE", help="The calibration, where it is not the sequence's own.")
-    ] = None,
+    camera: CameraName = None,
     fps: Fps = None,
     time_unit: TimeUnit = None,
     pair_by: PairBy = None,
     max_gap: MaxGap = MAX_GAP_S,
     depth_offset: DepthOffset = 0.0,
-    out: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Write into this new folder. \\[default: a new one in results/]")
-    ] = None,
+    out: Out = None,
     settings: Settings = None,
     config: ConfigFile = None,
 ) -> None:

@@ -8,11 +8,14 @@ import typer
 
 from stillroom.cli.arguments import (
     MAX_GAP_S,
+    CameraName,
     ConfigFile,
     DepthOffset,
     Fps,
+    Frames,
     MaxGap,
     Method,
+    Out,
     PairBy,
     Seed,
     Settings,
@@ -54,7 +57,7 @@ def run(
         str, typer.Argument(metavar="SEQUENCE", help="A folder, an archive, a known name, or synthetic:walking.")
     ],
     method: Method = None,
-    frames: Annotated[str | None, typer.Option(metavar="A:B", help="Use these frames only, such as 200:560.")] = None,
+    frames: Frames = None,
     drop: Drop = None,
     blackout: Blackout = None,
     detector_off: DetectorOff = None,
@@ -63,17 +66,13 @@ def run(
     continue_: Continue = False,
     localize: Localize = False,
     seed: Seed = None,
-    camera: Annotated[
-        str | None, typer.Option(metavar="NAME|FILE", help="The calibration, where it is not the sequence's own.")
-    ] = None,
+    camera: CameraName = None,
     fps: Fps = None,
     time_unit: TimeUnit = None,
     pair_by: PairBy = None,
     max_gap: MaxGap = MAX_GAP_S,
     depth_offset: DepthOffset = 0.0,
-    out: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Write into this new folder. \\[default: a new one in results/]")
-    ] = None,
+    out: Out = None,
     settings: Settings = None,
     config: ConfigFile = None,
     export_masks: ExportMasks = None,

@@ -246,7 +246,7 @@ class Relocalizer:
         """
         found = self.by_place(tracked, semantics, world) or self._by_last_keyframes(tracked, semantics, world)
         if found is None:
-            found = self._anew(tracked, semantics, world)
+            found = self._new_submap(tracked, semantics, world)
         if found is None:
             return tracked
         self._n_in_vain = 0
@@ -293,7 +293,7 @@ class Relocalizer:
         located = self.tracker.locate(tracked.frame, found.T_cam_world, found.point_ids, semantics, world, recovery)
         return None if located.lost else located
 
-    def _anew(self, tracked: Tracked, semantics: Pending[Semantics], world: Map) -> Tracked | None:
+    def _new_submap(self, tracked: Tracked, semantics: Pending[Semantics], world: Map) -> Tracked | None:
         """Return the frame as the first of a sub-map, when that is due and it has enough keypoints."""
         if self.config.patience == 0:
             return None

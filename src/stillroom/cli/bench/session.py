@@ -19,8 +19,8 @@ from stillroom.pipeline import Source
 from stillroom.protocols import Dataset
 from stillroom.semantics.detector import FrameRange
 from stillroom.session.provenance import provenance
+from stillroom.stopping import INTERRUPTED
 
-INTERRUPTED = 130
 R = TypeVar("R")
 
 Sequences = Annotated[list[str], typer.Argument(metavar="SEQ", help="Sequences, as for run.")]

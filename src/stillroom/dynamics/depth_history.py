@@ -118,7 +118,7 @@ def ask(
     """Add the evidence of one small depth image on points (N, 3) to `agrees` and `empty` (N,).
 
     The pixel and its eight neighbours are compared: one that agrees is enough; for `empty` all known ones must lie
-        behind.
+    behind.
 
     Args:
         view: The image.

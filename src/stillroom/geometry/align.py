@@ -66,7 +66,7 @@ def align_poses(T_source_cam: Floats, T_target_cam: Floats) -> F64:
     """Find the rigid motion `T_target_source` (4, 4) that best aligns poses (N, 4, 4), N ≥ 1, with their counterparts.
 
     Unlike `align`, which knows positions only, it takes the rotation from those of the poses, and is well determined
-        however little the camera moved: the rotation is the chordal mean of those that the pairs ask for, the
+    however little the camera moved: the rotation is the chordal mean of those that the pairs ask for, the
             translation the mean one.
     """
     wanted = np.asarray(T_target_cam)[:, :3, :3] @ np.swapaxes(np.asarray(T_source_cam)[:, :3, :3], 1, 2)

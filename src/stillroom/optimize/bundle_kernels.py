@@ -186,7 +186,7 @@ def add_product(Za: F64, Zb: F64, block: F64) -> None:
     """Add ZaᵀZb of two (3, 6) to a block (6, 6).
 
     Zb is read once, into registers: read again for each row, as the compiler must where the arrays may alias, this
-        takes nearly twice as long.
+    takes nearly twice as long.
     """
     b00, b01, b02, b03, b04, b05 = Zb[0, 0], Zb[0, 1], Zb[0, 2], Zb[0, 3], Zb[0, 4], Zb[0, 5]
     b10, b11, b12, b13, b14, b15 = Zb[1, 0], Zb[1, 1], Zb[1, 2], Zb[1, 3], Zb[1, 4], Zb[1, 5]

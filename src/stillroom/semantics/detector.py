@@ -61,7 +61,7 @@ def withhold(segmenter: Segmenter, ranges: Sequence[FrameRange]) -> Segmenter:
     """Return a segmenter whose detector finds nothing in the images of some ranges.
 
     Only the detector is disabled: boxes are still propagated. A segmenter without a detector returns nothing
-        potentially dynamic in those images.
+    potentially dynamic in those images.
 
     Args:
         segmenter: A fresh segmenter; not used any more afterwards.

@@ -19,7 +19,7 @@ class Changes:
 
     The map marks points and keyframes whose links changed (`is_unsaved`); poses, which are few, are compared. Counts of
     how often a point was visible and found change with every frame and are not marked: they are written along with a
-        point's other changes.
+    point's other changes.
     """
 
     def __init__(self, world: Map) -> None:

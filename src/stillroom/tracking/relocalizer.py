@@ -230,7 +230,7 @@ class Relocalizer:
     """Called with every frame on which tracking failed. Sieves do not reject meanwhile (`Stage.RELOCALIZATION`).
 
     The most similar place is tried first, independent of the last pose: matching, PnP, a guided search. Then the newest
-        keyframes, each with all its descriptors: after a short gap they work better than words.
+    keyframes, each with all its descriptors: after a short gap they work better than words.
     """
 
     def __init__(self, config: RelocalizerConfig, parts: Parts, tracker: Tracker, places: PlaceMemory) -> None:

@@ -65,7 +65,7 @@ def find_floor(cloud: DenseCloud, config: FloorConfig) -> Floor:
     """Find the largest plane that nearly everything else lies above and that the first camera could stand on.
 
     Directions first: normals of points sampled at random, each moved to the mean of the normals near it. Then, for
-        each,
+    each,
     the heights at which many points share it: peaks of a histogram, refined by least squares. A table top, however
     large, has the floor and the legs below it.
 

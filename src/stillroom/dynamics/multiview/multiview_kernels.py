@@ -249,7 +249,7 @@ def sees(there: KeyframeDepths, k: int, lens: Lens, place_m: tuple[float, float,
     """Compare a place [world] with keyframe `k`: AGREES, EMPTY or UNKNOWN.
 
     The pixel and the nearest and farthest of its neighbours are compared: one that agrees is enough; EMPTY if all lie
-        behind.
+    behind.
     """
     X, Y, Z = place_m
     T, depth_m = there.T_cam_world, there.depth_m

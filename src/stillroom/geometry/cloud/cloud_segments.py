@@ -116,7 +116,7 @@ def claim_foregrounds(
 
     The foreground's depth is the nearest at which a window over the depths holds many of the box's free samples. Boxes
     claim samples, the nearest box first, and the depth of the next is taken from what is left: of a person half behind
-        another, the rest.
+    another, the rest.
 
     Args:
         z_m: Depths of the samples (h, w) [m].

@@ -8,9 +8,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from stillroom.geometry.arrays import U8, Bool, Floats
+from stillroom.compiled import njit
+from stillroom.geometry.arrays import I64, U8, Bool, Floats
 
 Value = TypeVar("Value", bound=np.generic)
+WIDE_PX = 7
+"""From this reach on, growing each run of a row takes less time than OpenCV's dilation by an ellipse."""
 
 
 # Dilation of masks, and structuring elements.
@@ -37,7 +40,44 @@ def grown(mask: Bool, reach_px: int, shape: Shape) -> Bool:
     if reach_px <= 0 or not mask.any():
         return mask
     pixels = np.ascontiguousarray(mask).view(np.uint8)
+    if shape == Shape.ELLIPSE and reach_px >= WIDE_PX:
+        dilated = np.zeros(pixels.shape, dtype=np.uint8)
+        grow_runs(pixels, _half_widths(reach_px), dilated)
+        return dilated.view(np.bool_)
     return np.asarray(cv2.dilate(pixels, element(reach_px, shape)), dtype=np.uint8).view(np.bool_)
+
+
+@lru_cache(maxsize=64)
+def _half_widths(reach_px: int) -> I64:
+    """Return how far each row of an ellipse reaches to either side (2 · reach + 1,) [px]."""
+    return np.asarray(element(reach_px, Shape.ELLIPSE).sum(axis=1, dtype=np.int64) // 2)
+
+
+@njit(nogil=True, cache=True)
+def grow_runs(pixels: U8, half_widths: I64, dilated: U8) -> None:
+    """Set what a mask (H, W) covers when each of its pixels grows to an ellipse.
+
+    Args:
+        pixels: The mask; all but 0 is set.
+        half_widths: How far each row of the ellipse reaches to either side (2 · reach + 1,) [px].
+        dilated: The result (H, W), zeros before.
+    """
+    height, width = pixels.shape
+    reach = len(half_widths) // 2
+    for y in range(height):
+        row = pixels[y]
+        x = 0
+        while x < width:
+            while x < width and row[x] == 0:
+                x += 1
+            if x == width:
+                break
+            first = x
+            while x < width and row[x] != 0:
+                x += 1
+            for line in range(max(y - reach, 0), min(y + reach + 1, height)):
+                beside = half_widths[line - y + reach]
+                dilated[line, max(first - beside, 0) : min(x + beside, width)] = 1
 
 
 def values_at(image: NDArray[Value], px: Floats) -> NDArray[Value]:

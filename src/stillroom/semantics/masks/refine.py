@@ -6,7 +6,8 @@ import cv2
 import numpy as np
 
 from stillroom.bounds import bounded
-from stillroom.geometry.arrays import F32, U8, Bool
+from stillroom.compiled import njit
+from stillroom.geometry.arrays import F32, I8, I32, U8, Bool
 from stillroom.geometry.pixels import Shape, element, grown
 from stillroom.semantics.masks.mask_segments import MaskSegments
 
@@ -59,11 +60,9 @@ def refined(segments: MaskSegments, depth_m: F32, config: RefineConfig) -> MaskS
     label, depth_m = segments.label[around], depth_m[around]
     mask = label > 0
     known = depth_m > 0
-    disc = element(band_px, Shape.ELLIPSE)
-    inner = cv2.erode(mask.view(np.uint8), disc, borderType=cv2.BORDER_REPLICATE) != 0
+    inner = ~grown(~mask, band_px, Shape.ELLIPSE)
     outer = ~grown(mask, band_px, Shape.ELLIPSE)
-    body_m, has_body = _mean_depth(depth_m, inner & known, window_px)
-    ground_m, has_ground = _mean_depth(depth_m, outer & known, window_px)
+    (body_m, ground_m), (has_body, has_ground) = _mean_depths(depth_m, inner & known, outer & known, window_px)
     to_body, to_ground = np.abs(depth_m - body_m), np.abs(depth_m - ground_m)
     in_band = known & has_body & ~inner & ~outer
     # An arm may be off the body's mean as far as a table beside it is: only what is clearly at the background's depth
@@ -87,23 +86,65 @@ def _changed(
     return replace(segments, label=label, probability=probability)
 
 
-def _mean_depth(depth_m: F32, where: Bool, window_px: int) -> tuple[F32, Bool]:
-    """Return the mean depth [m] of some pixels around each, twice: the second time without what is far from the first.
+def _mean_depths(depth_m: F32, body: Bool, ground: Bool, window_px: int) -> tuple[F32, Bool]:
+    """Return the mean depth [m] of the body's pixels and of the ground's in the window around each pixel.
+
+    Each mean is taken twice: the second time without what is far from the first.
 
     Returns:
-        The depths (h, w), and where there are enough pixels.
+        The depths (2, h, w), and where there are enough pixels (2, h, w).
     """
-    rough_m, _ = _window_mean(depth_m, where, window_px)
-    return _window_mean(depth_m, where & (np.abs(depth_m - rough_m) < FAR_M), window_px)
+    which = np.where(body, np.int8(0), np.where(ground, np.int8(1), np.int8(-1)))
+    mean_m, n_pixels = np.empty((2, *depth_m.shape), np.float32), np.empty((2, *depth_m.shape), np.int32)
+    window_means(depth_m, which, window_px, mean_m, n_pixels)
+    own_m = np.where(ground, mean_m[1], mean_m[0])
+    window_means(depth_m, np.where(np.abs(depth_m - own_m) < FAR_M, which, np.int8(-1)), window_px, mean_m, n_pixels)
+    return mean_m, n_pixels >= FEWEST
 
 
-def _window_mean(depth_m: F32, where: Bool, window_px: int) -> tuple[F32, Bool]:
-    size = (window_px, window_px)
-    weight = where.astype(np.float32)
-    count = cv2.boxFilter(weight, -1, size, normalize=False, borderType=cv2.BORDER_CONSTANT)
-    total = cv2.boxFilter(weight * depth_m, -1, size, normalize=False, borderType=cv2.BORDER_CONSTANT)
-    enough = np.asarray(count > FEWEST - 0.5)
-    return np.asarray(total / np.maximum(count, 1.0), dtype=np.float32), enough
+@njit(nogil=True, cache=True)
+def window_means(depth_m: F32, which: I8, window_px: int, mean_m: F32, n_pixels: I32) -> None:
+    """Fill in the mean depth of two kinds of pixels in the square window around each pixel, by sums that run along.
+
+    Args:
+        depth_m: Depths (h, w) [m].
+        which: 0 or 1 for a pixel of either kind, −1 for one of neither (h, w).
+        window_px: Side of the window [px]; a window of an even side reaches further to the left and up, as OpenCV's.
+        mean_m: The means (2, h, w) [m]; 0 where there is no pixel.
+        n_pixels: How many pixels each is of (2, h, w).
+    """
+    height, width = depth_m.shape
+    before, behind = window_px // 2, window_px - window_px // 2
+    counts, sums_m = np.zeros((2, width), np.int32), np.zeros((2, width), np.float64)
+    for y in range(-behind + 1, height):
+        if y + behind - 1 < height:
+            for x in range(width):
+                kind = which[y + behind - 1, x]
+                if kind >= 0:
+                    counts[kind, x] += 1
+                    sums_m[kind, x] += depth_m[y + behind - 1, x]
+        if y - before - 1 >= 0:
+            for x in range(width):
+                kind = which[y - before - 1, x]
+                if kind >= 0:
+                    counts[kind, x] -= 1
+                    sums_m[kind, x] -= depth_m[y - before - 1, x]
+        if y < 0:
+            continue
+        for kind in range(2):
+            count, total_m = 0, 0.0
+            for x in range(min(behind - 1, width)):
+                count += counts[kind, x]
+                total_m += sums_m[kind, x]
+            for x in range(width):
+                if x + behind - 1 < width:
+                    count += counts[kind, x + behind - 1]
+                    total_m += sums_m[kind, x + behind - 1]
+                if x - before - 1 >= 0:
+                    count -= counts[kind, x - before - 1]
+                    total_m -= sums_m[kind, x - before - 1]
+                n_pixels[kind, y, x] = count
+                mean_m[kind, y, x] = total_m / max(count, 1)
 
 
 def _surroundings(label: U8, margin_px: int) -> tuple[slice, slice]:

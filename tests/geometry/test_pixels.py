@@ -1,8 +1,10 @@
-"""Values of images at points."""
+"""Values of images at points, and dilation of masks."""
 
+import cv2
 import numpy as np
+import pytest
 
-from stillroom.geometry.pixels import values_at
+from stillroom.geometry.pixels import WIDE_PX, Shape, element, grown, values_at
 
 IMAGE = np.arange(12, dtype=np.int16).reshape(3, 4)
 
@@ -22,3 +24,14 @@ def test_outside_it_is_the_nearest_of_the_edge() -> None:
     px = np.array([[-3.0, -0.6], [9.0, -2.0], [-1.0, 7.0], [4.2, 2.6]])
     assert values_at(IMAGE, px).tolist() == [0, 3, 8, 11]
     assert len(values_at(IMAGE, np.zeros((0, 2)))) == 0
+
+
+@pytest.mark.parametrize("shape", [(37, 53), (64, 64), (5, 80)])
+@pytest.mark.parametrize("reach_px", [1, WIDE_PX - 1, WIDE_PX, 15, 40])
+@pytest.mark.parametrize("kind", list(Shape))
+def test_masks_grow_as_opencv_dilates_them(shape: tuple[int, int], reach_px: int, kind: Shape) -> None:
+    rng = np.random.default_rng(reach_px)
+    mask = cv2.GaussianBlur(rng.random(shape), (0, 0), 3.0) > 0.55
+    mask[0, 0] = mask[-1, -1] = True
+    dilated = cv2.dilate(mask.astype(np.uint8), element(reach_px, kind))
+    np.testing.assert_array_equal(grown(mask, reach_px, kind), dilated > 0)

@@ -219,6 +219,40 @@ def test_dropped_images_count_as_carried_frames():
     assert all(boxes == () for boxes in answers[7:])
 
 
+def test_between_the_images_that_the_detector_sees_boxes_move_on_at_their_velocity():
+    asked = []
+
+    class Counting(Script):
+        def detect(self, image):
+            asked.append(image.index)
+            return super().detect(image)
+
+    script, images = walk(14, seen=14)
+    segmenter = CarriedBoxes(Counting(script), 0.8, CarryConfig(every=3))
+    answers = [segmenter(image).boxes for image in images]
+    assert asked == [0, 3, 6, 9, 12]
+    for k, (box,) in enumerate(answers):
+        assert (box.track_id, box.carried) == (0, k % 3)
+        if k >= 9:  # the velocity is a running mean, of zero at first
+            np.testing.assert_allclose(box.xyxy_px, box_at(20 + 4 * k).xyxy_px, atol=3.0)
+    assert [box.x_min_px for (box,) in answers[:3]] == [20.0] * 3
+
+
+def test_a_box_that_is_missed_at_a_stride_follows_what_was_in_it():
+    script, images = walk(12, seen=5)
+    answers = run(script, images, every=2)
+    assert [boxes[0].carried for boxes in answers] == [0, 1, 0, 1, 0, 1, 2, 3, 4, 5, 6, 7]
+    np.testing.assert_allclose(answers[10][0].xyxy_px, box_at(20 + 4 * 10).xyxy_px, atol=2.0)
+
+
+def test_a_step_back_asks_the_detector_at_once():
+    script, images = walk(5, seen=5)
+    segmenter = CarriedBoxes(Script(script), 0.8, CarryConfig(every=4))
+    for image in images[:3]:
+        segmenter(image)
+    assert [box.carried for box in segmenter(images[0]).boxes] == [0]
+
+
 def test_going_back_in_time_forgets():
     script, images = walk(5, seen=3)
     segmenter = CarriedBoxes(Script(script), 0.8, CarryConfig())

@@ -163,7 +163,8 @@ class CarryConfig:
     """How boxes are propagated.
 
     Attributes:
-        enabled: Whether boxes are propagated; if not, each image is independent.
+        enabled: Whether boxes are propagated; if not, each image is independent, and the detector sees each.
+        every: Stride in images at which the detector runs; in those between, boxes move on at their velocity.
         max_carried: Largest number of frames over which a box is propagated.
         continue_confidence: Confidence of a detection that continues a track; the detector's full one starts it.
         enter_confidence: Confidence that starts a track where a box touches the left or right border.
@@ -178,6 +179,7 @@ class CarryConfig:
     """
 
     enabled: bool = True
+    every: int = bounded(1, least=1)
     max_carried: int = bounded(30, least=0)
     continue_confidence: float = bounded(0.40, least=0, most=1)
     enter_confidence: float = bounded(0.50, least=0, most=1)
@@ -217,12 +219,13 @@ class _Track:
         self.velocity_px = weight * step_px + (1.0 - weight) * self.velocity_px
         self.edges = edges
 
-    def as_box(self, width: int, height: int, grow: float = 0.0) -> Box:
-        """Return the part in the image, enlarged on each side by a share of its width."""
-        more_px = grow * (self.edges[2] - self.edges[0])
-        x0, y0 = np.clip(self.edges[:2] - more_px, 0.0, (width - 1, height - 1)).tolist()
-        x1, y1 = np.clip(self.edges[2:] + more_px, 0.0, (width - 1, height - 1)).tolist()
-        return Box(x0, y0, x1, y1, self.label, self.confidence, self.carried, self.track_id)
+    def as_box(self, width: int, height: int, grow: float = 0.0, later: int = 0) -> Box:
+        """Return the part in the image, enlarged on each side by a share of its width, predicted `later` frames on."""
+        edges = self.predicted(later)
+        more_px = grow * (edges[2] - edges[0])
+        x0, y0 = np.clip(edges[:2] - more_px, 0.0, (width - 1, height - 1)).tolist()
+        x1, y1 = np.clip(edges[2:] + more_px, 0.0, (width - 1, height - 1)).tolist()
+        return Box(x0, y0, x1, y1, self.label, self.confidence, self.carried + later, self.track_id)
 
 
 class CarriedBoxes:
@@ -247,20 +250,30 @@ class CarriedBoxes:
         self._tracks: list[_Track] = []
         self._next_id = 0
         self._before: RgbdImage | None = None
+        self._n_since = 0
 
     def __call__(self, image: RgbdImage) -> Semantics:
         """Return the boxes of this image, detected and propagated."""
+        frames = self._frames_since(image)
+        self._n_since = 0 if self._before is None else (self._n_since + 1) % self._config.every
+        if self._n_since:
+            return self._reported(image, frames)
         found = self.detector.detect(image)
         strong = [box for box in found if self._is_strong(box, image.width)]
         weak = [box for box in found if box not in strong and box.confidence >= self._config.continue_confidence]
-        frames = self._frames_since(image)
         missed, new = self._continue(self._tracks, strong, frames)
         missed, _ = self._continue(missed, weak, frames)
         seen = [track for track in self._tracks if track not in missed] + [self._open(box) for box in new]
         carried = [track for track in missed if self._carry(track, image, frames)]
         self._tracks = seen + self._uncovered(carried, seen)
         self._before = image
-        boxes = [track.as_box(image.width, image.height, self._config.grow) for track in self._tracks]
+        return self._reported(image, 0)
+
+    def _reported(self, image: RgbdImage, later: int) -> Semantics:
+        """Return the boxes in an image, `later` frames after the detector last ran."""
+        size = image.width, image.height
+        boxes = [track.as_box(*size, self._config.grow, later) for track in self._tracks]
+        boxes = [box for box in boxes if box.area_px > 0.0]
         boxes.sort(key=lambda box: (box.carried, -box.confidence, box.track_id))
         return of_boxes(image, boxes, self._named)
 
@@ -275,12 +288,12 @@ class CarriedBoxes:
         return box.confidence >= (self._enter_confidence if entering else self._confidence)
 
     def _frames_since(self, image: RgbdImage) -> int:
-        """Return how many frames after the last image this one is; drop all boxes if it is not a later one."""
+        """Return how many frames after the detector's last image this one is; forget all if it is not a later one."""
         before = self._before
         if before is None:
             return 1
         if image.index <= before.index or image.rgb.shape != before.rgb.shape:
-            self._tracks = []
+            self._tracks, self._before = [], None
             return 1
         return image.index - before.index
 

@@ -12,7 +12,7 @@ from stillroom.data.semantics import Semantics
 from stillroom.datasets.open import open_dataset
 from stillroom.semantics.masks.carried_masks import LateMasks, MaskCarryConfig
 from stillroom.semantics.masks.mask_segments import HalfImage, MaskSegments
-from stillroom.semantics.masks.refine import RefineConfig, refined
+from stillroom.semantics.masks.refine import RefineConfig, refined, window_means
 
 Share = tuple[float, float, float]
 
@@ -123,6 +123,22 @@ def test_the_border_moves_to_the_jump_and_no_farther_than_the_band() -> None:
     assert np.array_equal(plain(depth_m, shifted), body)
     far_off = np.roll(body, 12, axis=1)
     assert np.count_nonzero(plain(depth_m, far_off) & ~far_off) <= 80 * (RefineConfig().band_px // 2 + 1)
+
+
+@pytest.mark.parametrize("window_px", [3, 8, 45, 90])
+def test_means_in_windows_are_those_of_box_filters(window_px: int) -> None:
+    rng = np.random.default_rng(window_px)
+    depth_m = rng.uniform(0.5, 4.0, (60, 77)).astype(np.float32)
+    which = rng.integers(-1, 2, depth_m.shape).astype(np.int8)
+    mean_m, n_pixels = np.empty((2, 60, 77), np.float32), np.empty((2, 60, 77), np.int32)
+    window_means(depth_m, which, window_px, mean_m, n_pixels)
+    for kind in range(2):
+        of_kind = (which == kind).astype(np.float64)
+        size, outside = (window_px, window_px), cv2.BORDER_CONSTANT
+        count = cv2.boxFilter(of_kind, -1, size, normalize=False, borderType=outside)
+        total_m = cv2.boxFilter(of_kind * depth_m, -1, size, normalize=False, borderType=outside)
+        np.testing.assert_array_equal(n_pixels[kind], np.rint(count))
+        np.testing.assert_allclose(mean_m[kind], total_m / np.maximum(count, 1.0), atol=1e-5)
 
 
 def test_where_depth_does_not_jump_or_is_unknown_the_network_has_the_last_word() -> None:

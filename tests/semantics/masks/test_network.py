@@ -12,7 +12,9 @@ from red_network import CLASSES, red_config, save_red_network
 from stillroom.data.image import RgbdImage
 from stillroom.errors import ConfigError, StillroomError, WeightsError
 from stillroom.semantics.class_names import VOC_CLASSES
+from stillroom.semantics.masks.mask_segments import MaskSegments
 from stillroom.semantics.masks.onnx_masks import DEEPLAB, OnnxMasksConfig
+from stillroom.semantics.masks.regions import RegionsConfig, as_semantics, without_specks
 
 
 def a_red_square(height: int = 240, width: int = 320) -> RgbdImage:
@@ -245,3 +247,20 @@ def test_in_a_crowd_masks_are_grown_less(tmp_path: Path) -> None:
 
     assert abs(width_px(100) - 15) <= 1
     assert abs(width_px(180) - 5) <= 1, "it would be over 60 % of the image"
+
+
+def test_boxes_are_around_each_region_and_as_sure_as_its_pixels() -> None:
+    label, probability = np.zeros((60, 80), np.uint8), np.zeros((60, 80), np.float32)
+    label[10:20, 30:50], probability[10:20, 30:50] = 2, 0.75
+    label[40:60, 5:9], probability[40:60, 5:9] = 1, 0.5
+    label[40:60, 60:80], probability[40:60, 60:80] = 2, 1.0
+    label[2, 2], probability[2, 2] = 1, 0.9
+    segments = without_specks(MaskSegments(label, probability), 40)
+    assert segments.label[2, 2] == 0
+    assert np.array_equal(segments.label > 0, (label > 0) & (np.arange(60)[:, None] > 2))
+    boxes = as_semantics(segments, ("person", "dog"), 120, 160, 0, RegionsConfig(dilate_px=0)).boxes
+    assert [(box.label, *box.xyxy_px, box.confidence) for box in boxes] == [
+        ("dog", 120, 80, 159, 119, 1.0),
+        ("dog", 60, 20, 99, 39, 0.75),
+        ("person", 10, 80, 17, 119, 0.5),
+    ]

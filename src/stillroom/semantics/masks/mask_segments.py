@@ -80,6 +80,6 @@ def _flow(now: U8, earlier: U8) -> F32:
     """Return the dense flow from one image to another (h, w, 2) [px] (Kroeger et al., ECCV 2016)."""
     if min(now.shape) < SMALLEST_SIDE_PX:
         return np.zeros((*now.shape, 2), dtype=np.float32)
-    dense = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_FAST)
+    dense = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_ULTRAFAST)
     start = np.zeros((*now.shape, 2), dtype=np.float32)
     return np.asarray(dense.calc(now, earlier, start), dtype=np.float32)

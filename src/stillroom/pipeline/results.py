@@ -39,7 +39,7 @@ from stillroom.data.map import submaps
 from stillroom.data.replacing import cannot_be_written, replace_text
 from stillroom.data.result import Recovery
 from stillroom.data.trajectory import Trajectory, read_tum
-from stillroom.errors import ConfigError, StillroomError
+from stillroom.errors import NO_MEMORY, ConfigError, StillroomError
 from stillroom.evaluation.report import Evaluation, to_json
 from stillroom.evaluation.timing import FRAME, peak_memory_mb
 from stillroom.pipeline.options import RunOptions, RunOutcome
@@ -179,6 +179,8 @@ class Attempts:
             yield
         except OSError as error:
             self._first = self._first or cannot_be_written(path, error)
+        except MemoryError:
+            self._first = self._first or StillroomError(f"{path}: cannot be written ({NO_MEMORY})")
         except StillroomError as error:
             self._first = self._first or error
 

@@ -48,7 +48,7 @@ class Bounds:
         if self.one_of:
             return value in self.one_of
         return (
-            math.isfinite(value)
+            _is_finite(value)
             and (self.least is None or value >= self.least)
             and (self.above is None or value > self.above)
             and (self.most is None or value <= self.most)
@@ -117,3 +117,11 @@ def _refuse(dotted: str, value: Any, words: str | None) -> None:
     if words is not None:
         shown = f"'{value}'" if isinstance(value, str) else value
         raise ConfigError(f"'{dotted}' is {shown}; {words}")
+
+
+def _is_finite(value: float) -> bool:
+    """Return whether a number is finite and not too large for a float, as a whole number can be."""
+    try:
+        return math.isfinite(value)
+    except OverflowError:
+        return False

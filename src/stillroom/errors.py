@@ -17,9 +17,31 @@
 Each message says what is wrong, where, and what to do about it.
 """
 
+import errno
+
 
 class StillroomError(Exception):
     """Base of every error that Stillroom raises on purpose."""
+
+
+NO_MEMORY = (
+    "there was not enough memory; close other programs, or give less at a time [see troubleshooting: out-of-memory]"
+)
+
+
+def is_of_memory(error: BaseException) -> bool:
+    """Return whether an error, or one that it came of, is a library's word for memory that could not be had.
+
+    Python and numba say `MemoryError`, the system ENOMEM, OpenCV its own error with the code -4 or C++'s `bad_alloc`.
+    """
+    seen: BaseException | None = error
+    while seen is not None:
+        if isinstance(seen, MemoryError) or (isinstance(seen, OSError) and seen.errno == errno.ENOMEM):
+            return True
+        if type(seen).__module__ == "cv2" and (getattr(seen, "code", 0) == -4 or "bad_alloc" in str(seen)):
+            return True
+        seen = seen.__cause__ or seen.__context__
+    return False
 
 
 class ConfigError(StillroomError):

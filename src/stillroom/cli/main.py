@@ -9,6 +9,7 @@ import io
 import os
 import re
 import sys
+import traceback
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
@@ -18,7 +19,7 @@ import typer
 
 from stillroom.cli.installed import ALONE, GROUP, BySecondWord, installed, summary_of
 from stillroom.cli.streams import flush_all
-from stillroom.errors import StillroomError
+from stillroom.errors import NO_MEMORY, StillroomError, is_of_memory
 from stillroom.stopping import INTERRUPTED, as_ctrl_c, exit_code
 
 ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
@@ -175,6 +176,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
         from stillroom.cli.output import print_error
 
         print_error(str(error))
+        code = 1
+    except Exception as error:
+        if not is_of_memory(error):
+            raise
+        traceback.clear_frames(error.__traceback__)  # they hold what there was no room beside
+        from stillroom.cli.output import print_error
+
+        print_error(NO_MEMORY)
         code = 1
     except SystemExit as left:
         code = left.code

@@ -7,13 +7,15 @@ import gzip
 import hashlib
 import logging
 import lzma
+import os
 import shutil
+import struct
 import tarfile
 import tempfile
 import zipfile
 import zlib
 from collections.abc import Iterator
-from pathlib import Path, PurePosixPath
+from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import IO
 
 from stillroom.data.locations import cache_folder
@@ -36,8 +38,15 @@ UNREADABLE = (
     lzma.LZMAError,
     EOFError,
     RuntimeError,  # zipfile's word for an encrypted member, and for a compression that it does not know
-    UnicodeError,  # a member's name
+    ValueError,  # a member's name that is no text or holds a zero byte; a number that is none
+    OverflowError,
+    struct.error,
 )
+ON_WINDOWS = os.name == "nt"
+DEVICES = frozenset(
+    ("con", "prn", "aux", "nul", "conin$", "conout$", *(f"{port}{n}" for port in ("com", "lpt") for n in "123456789¹²³"))
+)
+"""What Windows takes for a device in any folder, whatever the suffix."""
 
 
 def is_archive(path: Path) -> bool:
@@ -101,7 +110,7 @@ def unpack(archive: Path, folder: Path) -> None:
         reason = str(error).partition(":")[0]  # tarfile appends one message for each kind of compression
         raise BrokenArchiveError(f"{archive}: not a whole archive ({reason}); delete it and fetch it again") from error
     except OSError as error:
-        raise DatasetError(f"{archive}: cannot be unpacked into {folder.parent} ({error})") from error
+        raise DatasetError(f"{archive}: cannot be unpacked into {folder.parent} ({error.strerror or error})") from error
     finally:
         shutil.rmtree(half_done, ignore_errors=True)
 
@@ -111,8 +120,7 @@ def _members(archive: Path) -> Iterator[tuple[str, IO[bytes]]]:
     if archive.name.lower().endswith(".zip"):
         with zipfile.ZipFile(archive) as zipped:
             for info in zipped.infolist():
-                # Some Windows programs write backslashes, against the format; no other separator ends a folder's name.
-                name = info.filename.replace("\\", "/")
+                name = _with_slashes(info.filename)  # no other separator ends a folder's name
                 if not name.endswith("/"):
                     with zipped.open(info) as content:
                         yield name, content
@@ -122,10 +130,15 @@ def _members(archive: Path) -> Iterator[tuple[str, IO[bytes]]]:
             content_or_none = tar.extractfile(member) if member.isreg() else None
             if content_or_none is not None:
                 with content_or_none as content:
-                    yield member.name, content
+                    yield _with_slashes(member.name), content
         # The tar ends before its compressed stream does, and the stream's checksum stands at its very end.
         while tar.fileobj is not None and tar.fileobj.read(1 << 20):
             pass
+
+
+def _with_slashes(name: str) -> str:
+    """Return a member's name as the formats want it: some Windows programs write backslashes."""
+    return name.replace("\\", "/")
 
 
 def _is_of_macos(name: str) -> bool:
@@ -135,7 +148,18 @@ def _is_of_macos(name: str) -> bool:
 
 
 def _inside(archive: Path, folder: Path, name: str) -> Path:
+    """Return where a member goes; a path that leads out on any system is refused on all.
+
+    Raises:
+        BrokenArchiveError: It leads out of the folder, or to a device.
+    """
     target = (folder / name).resolve()
-    if not target.is_relative_to(folder.resolve()):
+    if not target.is_relative_to(folder.resolve()) or PureWindowsPath(name).drive:
         raise BrokenArchiveError(f"{archive}: holds the path '{name}', which leads out of it; not unpacked")
+    if ON_WINDOWS and any(":" in part or _is_device(part) for part in PurePosixPath(name).parts):
+        raise BrokenArchiveError(f"{archive}: holds the path '{name}', which Windows takes for a device; not unpacked")
     return target
+
+
+def _is_device(part: str) -> bool:
+    return part.partition(".")[0].rstrip(" ").lower() in DEVICES

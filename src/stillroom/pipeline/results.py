@@ -39,7 +39,7 @@ from stillroom.data.map import submaps
 from stillroom.data.replacing import cannot_be_written, replace_text
 from stillroom.data.result import Recovery
 from stillroom.data.trajectory import Trajectory, read_tum
-from stillroom.errors import ConfigError, StillroomError
+from stillroom.errors import NO_MEMORY, ConfigError, StillroomError
 from stillroom.evaluation.report import Evaluation, to_json
 from stillroom.evaluation.timing import FRAME, peak_memory_mb
 from stillroom.pipeline.options import RunOptions, RunOutcome
@@ -99,11 +99,14 @@ def results_folder(path: Path) -> Path:
     """Return the results folder of a path, `latest` also where links are not supported.
 
     Raises:
-        StillroomError: There is none.
+        StillroomError: There is none, or `latest.txt` names one elsewhere.
     """
     note = path.with_name(f"{path.name}.txt")
     if not path.exists() and path.name == LATEST and note.is_file():
-        path = path.parent / note.read_text(encoding="utf-8").strip()
+        name = note.read_text(encoding="utf-8", errors="replace").strip()
+        if Path(name).name != name or name == "..":
+            raise StillroomError(f"{note}: '{name[:60]}' is no folder beside it; name the folder of the run")
+        path = path.parent / name
     if not path.is_dir():
         raise StillroomError(f"{path}: no such results folder; 'stillroom run' makes one")
     return path.resolve()
@@ -179,6 +182,8 @@ class Attempts:
             yield
         except OSError as error:
             self._first = self._first or cannot_be_written(path, error)
+        except MemoryError:
+            self._first = self._first or StillroomError(f"{path}: cannot be written: {NO_MEMORY}")
         except StillroomError as error:
             self._first = self._first or error
 

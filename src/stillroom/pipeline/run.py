@@ -11,6 +11,7 @@ import numpy as np
 from stillroom.config import SlamConfig
 from stillroom.data.image import RgbdImage
 from stillroom.data.result import FrameSummary, TrackingState
+from stillroom.data.trajectory import Trajectory
 from stillroom.datasets.recording import groundtruth_flaw, unpaired_s
 from stillroom.errors import ConfigError, FrameError
 from stillroom.pipeline import results
@@ -198,14 +199,14 @@ def _conclude(outcome: RunOutcome, dataset: Dataset, with_plots: bool) -> None:
     trajectory, truth, folder = outcome.system.trajectory(), results.Truth.of(dataset), outcome.folder
     outcome.has_groundtruth = truth is not None or groundtruth_flaw(dataset) != ""
     outcome.n_unpaired = _n_unpaired(dataset, outcome.n_given)
-    outcome.evaluation = evaluate_trajectory(trajectory, truth, outcome.n_recorded)
-    if outcome.evaluation is not None:
-        for doubt in doubts_of_figures(outcome.evaluation):
-            log.warning("%s", doubt)
-            outcome.doubts.append(doubt)
+    cloud = None
+    try:
+        _evaluate(outcome, trajectory, truth)
+    finally:  # what was tracked is written even where memory does not suffice for figures
+        if folder is not None:
+            cloud = results.write_results(folder, outcome, truth)
     if folder is None:
         return
-    cloud = results.write_results(folder, outcome, truth)
     title = f"{outcome.method} on {dataset.name}"
     n_told, ornaments = outcome.ornaments.n_failed, outcome.ornaments
     if with_plots:
@@ -216,6 +217,14 @@ def _conclude(outcome: RunOutcome, dataset: Dataset, with_plots: bool) -> None:
         with ornaments.drawing():  # the figures are there already, but for this count
             results.write_run_metrics(folder, outcome)
     outcome.pictures = tuple(sorted((folder / results.PICTURES).glob("*.png")))
+
+
+def _evaluate(outcome: RunOutcome, trajectory: Trajectory, truth: results.Truth | None) -> None:
+    outcome.evaluation = evaluate_trajectory(trajectory, truth, outcome.n_recorded)
+    if outcome.evaluation is not None:
+        for doubt in doubts_of_figures(outcome.evaluation):
+            log.warning("%s", doubt)
+            outcome.doubts.append(doubt)
 
 
 def _n_unpaired(dataset: Dataset, n_given: int) -> int:

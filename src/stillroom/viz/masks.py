@@ -6,6 +6,7 @@ import numpy as np
 
 from stillroom.data.result import FrameResult, Tracked
 from stillroom.data.semantics import Semantics
+from stillroom.errors import StillroomError
 from stillroom.viz.png import write_png
 
 MOVING = 255
@@ -25,7 +26,9 @@ class MaskWriter:
         """Write the mask of a frame.
 
         Raises:
-            StillroomError: It cannot be written.
+            StillroomError: It cannot be written, or the image's name leads to another folder.
         """
         name = tracked.frame.image.name or f"{result.index:06d}"
+        if Path(name).name != name:  # a data set of another package may give any
+            raise StillroomError(f"{self._folder}: an image is called '{name}', which is no name of a file in it")
         write_png(self._folder / f"{name}.png", np.where(result.motion.moving, MOVING, 0).astype(np.uint8))

@@ -16,6 +16,7 @@ NO_BOX = -1
 BIN_M = 0.05
 MANY = 0.6
 NO_SEGMENT = -1
+NO_LABEL = -100000
 
 
 # From labels of a cloud's points to a label image on all pixels.
@@ -64,66 +65,90 @@ def spread_into(
 ) -> None:
     """Fill the label image (H, W); see `spread_labels`.
 
-    Rows between two rows of samples are labelled at once, and by arithmetic, which compiles to vector instructions.
+    All pixels of a row are labelled at once, by steps that compile to vector instructions: those between four samples
+    on one surface, and then the others.
     """
     labels, z, rows, columns = samples
     last_i, last_j = len(rows) - 1, len(columns) - 1
     height, width = image.shape
-    low, high = np.empty(width, dtype=np.float32), np.empty(width, dtype=np.float32)
-    label_at = np.empty(width, dtype=np.int16)
-    mixed = np.empty(width, dtype=np.int32)  # columns between samples of several surfaces, with the samples:
-    z_at, step_at = np.empty((4, width), dtype=np.float32), np.empty(width, dtype=np.float32)
-    labels_at = np.empty((4, width), dtype=np.int16)
+    block_of = np.zeros(width, dtype=np.int32)  # the sample at the upper left of each pixel
+    for c in range(columns[0], width):
+        block_of[c] = block_of[c - 1] + (c == columns[min(block_of[c - 1] + 1, last_j)]) if c else 0
+    low, high = np.empty(last_j + 1, dtype=np.float32), np.empty(last_j + 1, dtype=np.float32)
+    is_mixed, mixed = np.empty(last_j + 1, dtype=np.uint8), np.empty(width, dtype=np.int32)
+    low_at, high_at, label_at = np.empty(width, np.float32), np.empty(width, np.float32), np.empty(width, np.int16)
     for i0 in range(last_i + 1):
         i1 = min(i0 + 1, last_i)
-        top, bottom = (0 if i0 == 0 else rows[i0]), (height if i0 == last_i else rows[i1])
-        n_mixed = 0
         for j0 in range(last_j + 1):
             j1 = min(j0 + 1, last_j)
-            left, right = (0 if j0 == 0 else columns[j0]), (width if j0 == last_j else columns[j1])
-            z0, z1, z2, z3 = z[i0, j0], z[i0, j1], z[i1, j0], z[i1, j1]
-            a0, a1, a2, a3 = labels[i0, j0], labels[i0, j1], labels[i1, j0], labels[i1, j1]
-            nearest, farthest = min(z0, z1, z2, z3), max(z0, z1, z2, z3)
+            a0, nearest = labels[i0, j0], min(min(z[i0, j0], z[i0, j1]), min(z[i1, j0], z[i1, j1]))
+            farthest = max(max(z[i0, j0], z[i0, j1]), max(z[i1, j0], z[i1, j1]))
             step = max(step_m, step_share * farthest)
-            is_one = a0 == a1 and a0 == a2 and a0 == a3 and nearest > 0.0 and farthest - nearest <= step
             # One surface: what lies between the samples in depth is within the step of one of them.
-            low[left:right] = max(nearest - step, np.float32(0.0)) if is_one else np.float32(np.inf)
-            high[left:right], label_at[left:right] = farthest + step, a0
-            if not is_one and farthest > 0.0:
-                for c in range(left, right):
-                    mixed[n_mixed], step_at[n_mixed] = c, step
-                    z_at[0, n_mixed], z_at[1, n_mixed], z_at[2, n_mixed], z_at[3, n_mixed] = z0, z1, z2, z3
-                    for k, a in enumerate((a0, a1, a2, a3)):
-                        labels_at[k, n_mixed] = a
-                    n_mixed += 1
+            is_one = (a0 == labels[i0, j1]) & (a0 == labels[i1, j0]) & (a0 == labels[i1, j1]) & (nearest > 0.0)
+            is_one &= farthest - nearest <= step
+            low[j0] = max(nearest - step, np.float32(0.0)) if is_one else np.float32(np.inf)
+            high[j0] = farthest + step
+            is_mixed[j0] = not is_one and farthest > 0.0
+        n_mixed = 0
+        for c in range(width):
+            low_at[c], high_at[c], label_at[c] = low[block_of[c]], high[block_of[c]], labels[i0, block_of[c]]
+            mixed[n_mixed] = c
+            n_mixed += is_mixed[block_of[c]]
+        top, bottom = (0 if i0 == 0 else rows[i0]), (height if i0 == last_i else rows[i1])
         for r in range(top, bottom):
             for c in range(width):
-                is_on = np.int16(low[c] < depth_m[r, c]) & np.int16(depth_m[r, c] <= high[c])
+                is_on = np.int16(low_at[c] < depth_m[r, c]) & np.int16(depth_m[r, c] <= high_at[c])
                 image[r, c] = unknown + is_on * (label_at[c] - unknown)
-            spread_mixed(mixed[:n_mixed], z_at, labels_at, step_at, depth_m[r], unknown, image[r])
+        at = mixed[:n_mixed]
+        spread_mixed(samples, i0, at, block_of, depth_m[top:bottom], step_m, step_share, image[top:bottom])
 
 
 @njit(nogil=True, cache=True)
-def spread_mixed(mixed: I32, z_at: F32, labels_at: I16, step_at: F32, depth_m: F32, unknown: int, image: I16) -> None:
-    """Label pixels of a row (W,) by the nearest in depth of the four samples around each.
+def spread_mixed(
+    samples: DepthSamples, i0: int, mixed: I32, block_of: I32, depth_m: F32, step_m: float, step_share: float, image: I16
+) -> None:
+    """Label pixels of some rows (R, W) by the nearest in depth of the four samples around each.
 
     Args:
-        mixed: Their columns (C,).
-        z_at, labels_at: Depths and labels of the samples around each (4, C).
-        step_at: Largest difference in depth (C,).
-        depth_m: Depth of the row (W,).
-        unknown: Label of what is further.
-        image: Labels of the row (W,), written to.
+        samples: The samples.
+        i0: Row of samples above.
+        mixed: Columns of the pixels (C,).
+        block_of: Column of samples to the left of each pixel (W,).
+        depth_m: Depth of the rows (R, W) [m].
+        step_m, step_share: Largest difference in depth; see `spread_labels`.
+        image: Labels (R, W), written to; unknown before.
     """
-    for m in range(len(mixed)):
-        depth = depth_m[mixed[m]]
-        # An unknown sample's depth of 0 is as far from the pixel's as the pixel is from the camera.
-        best, label = abs(z_at[0, m] - depth), labels_at[0, m]
-        for k in range(1, 4):
-            away, other = abs(z_at[k, m] - depth), labels_at[k, m]
-            label = other if away < best else label
-            best = away if away < best else best
-        image[mixed[m]] = label if best <= step_at[m] and best < depth else unknown
+    labels, z = samples.labels, samples.z
+    i1, n = min(i0 + 1, z.shape[0] - 1), len(mixed)
+    around, label = np.empty((4, n), dtype=np.float32), np.empty((4, n), dtype=np.float32)
+    step, depth, found = np.empty(n, np.float32), np.empty(n, np.float32), np.empty(n, np.float32)
+    for m in range(n):
+        j0 = block_of[mixed[m]]
+        j1 = min(j0 + 1, z.shape[1] - 1)
+        around[0, m], around[1, m], around[2, m], around[3, m] = z[i0, j0], z[i0, j1], z[i1, j0], z[i1, j1]
+        label[0, m], label[1, m], label[2, m], label[3, m] = labels[i0, j0], labels[i0, j1], labels[i1, j0], labels[i1, j1]
+        step[m] = max(step_m, step_share * max(around[0, m], around[1, m], around[2, m], around[3, m]))
+    z0, z1, z2, z3 = around
+    a0, a1, a2, a3 = label
+    none = np.float32(NO_LABEL)
+    for r in range(len(depth_m)):
+        for m in range(n):
+            depth[m] = depth_m[r, mixed[m]]
+        for m in range(n):
+            # An unknown sample's depth of 0 is as far from the pixel's as the pixel is from the camera.
+            d, best, a, other = depth[m], abs(z0[m] - depth[m]), a0[m], a1[m]
+            away = abs(z1[m] - d)
+            a, best, other = other if away < best else a, away if away < best else best, a2[m]
+            away = abs(z2[m] - d)
+            a, best, other = other if away < best else a, away if away < best else best, a3[m]
+            away = abs(z3[m] - d)
+            a, best = other if away < best else a, away if away < best else best
+            best = best if best < d else np.float32(np.inf)
+            found[m] = a if best <= step[m] else none
+        for m in range(n):
+            if found[m] != none:
+                image[r, mixed[m]] = np.int16(found[m])
 
 
 # The foreground of a box: pixels near the depth that most of them have.

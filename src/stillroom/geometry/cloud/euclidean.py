@@ -102,21 +102,20 @@ def union_neighbours(
     order, start = sorted_by_cell(cell_of, n_cells)
     whole = np.empty(n_cells, dtype=np.bool_)
     for c in range(n_cells):
-        own = order[start[c] : start[c + 1]]
-        whole[c] = is_whole(own, parent)
+        whole[c] = is_whole(order, start[c], start[c + 1], parent)
         if not whole[c]:
-            join_cells(points, own, own, tolerance, parent, False)
-            whole[c] = is_whole(own, parent)
+            join_cells(points, order, start, c, c, tolerance, parent, False)
+            whole[c] = is_whole(order, start[c], start[c + 1], parent)
     for c in range(n_cells):
-        own = order[start[c] : start[c + 1]]
+        x, y, z, group = keys[c, 0], keys[c, 1], keys[c, 2], keys[c, 3]
         for k in range(len(forward)):
-            x, y, z = keys[c, 0] + forward[k, 0], keys[c, 1] + forward[k, 1], keys[c, 2] + forward[k, 2]
-            other = table[slot_of(grid, x, y, z, keys[c, 3])]
+            at = slot_of(keys, table, x + forward[k, 0], y + forward[k, 1], z + forward[k, 2], group)
+            other = table[at]
             if other < 0:
                 continue
             both = whole[c] and whole[other]
-            if not (both and root_of(parent, own[0]) == root_of(parent, order[start[other]])):
-                join_cells(points, own, order[start[other] : start[other + 1]], tolerance, parent, both)
+            if not (both and root_of(parent, order[start[c]]) == root_of(parent, order[start[other]])):
+                join_cells(points, order, start, c, other, tolerance, parent, both)
 
 
 @njit(nogil=True, cache=True)
@@ -135,15 +134,17 @@ def sorted_by_cell(cell_of: I32, n_cells: int) -> tuple[I32, I32]:
 
 
 @njit(nogil=True, cache=True)
-def join_cells(points: F64, own: I32, other: I32, tolerance: float, parent: I32, one_is_enough: bool) -> None:
-    """Join what lies within the tolerance between the points of two cells, or of one if it is given twice.
+def join_cells(
+    points: F64, order: I32, start: I32, c: int, other: int, tolerance: float, parent: I32, one_is_enough: bool
+) -> None:
+    """Join what lies within the tolerance between two cells, or within one if they are the same.
 
     Where each of the two is one cluster already, the first pair decides.
     """
-    for i in own:
-        for j in other:
-            if is_near(points, i, j, tolerance):
-                join(parent, i, j)
+    for a in range(start[c], start[c + 1]):
+        for b in range(a + 1 if c == other else start[other], start[other + 1]):
+            if is_near(points, order[a], order[b], tolerance):
+                join(parent, order[a], order[b])
                 if one_is_enough:
                     return
 
@@ -156,13 +157,13 @@ def is_near(points: F64, i: int, j: int, tolerance: float) -> bool:
 
 
 @njit(nogil=True, cache=True)
-def is_whole(own: I32, parent: I32) -> bool:
-    """Return whether all points of a cell are in one cluster."""
-    root = root_of(parent, own[0])
-    for i in own[1:]:
-        if root_of(parent, i) != root:
-            return False
-    return True
+def is_whole(order: I32, start: int, end: int, parent: I32) -> bool:
+    """Return whether all points of a cell, from `start` on in `order`, are in one cluster."""
+    root = root_of(parent, order[start])
+    a = start + 1
+    while a < end and root_of(parent, order[a]) == root:
+        a += 1
+    return bool(a == end)
 
 
 # A forest of points (N,) int32: each names its parent, a point before it, or itself; a tree is a cluster.

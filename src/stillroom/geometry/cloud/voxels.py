@@ -63,17 +63,15 @@ class CellTable(NamedTuple):
 
 
 @njit(nogil=True, cache=True)
-def slot_of(grid: CellTable, x: int, y: int, z: int, group: int) -> int:
-    """Return the slot of the hash table in which a cell lies, or would lie."""
-    keys, table = grid
+def slot_of(keys: I64, table: I32, x: int, y: int, z: int, group: int) -> int:
+    """Return the slot of the hash table of `CellTable` in which a cell lies, or would lie."""
     mask = len(table) - 1
     slot = ((x * 73856093) ^ (y * 19349663) ^ (z * 83492791) ^ (group * 15485863)) & mask
-    while table[slot] >= 0:
-        key = keys[table[slot]]
-        if key[0] == x and key[1] == y and key[2] == z and key[3] == group:
+    while True:
+        c = table[slot]
+        if c < 0 or (keys[c, 0] == x and keys[c, 1] == y and keys[c, 2] == z and keys[c, 3] == group):
             return slot
         slot = (slot + 1) & mask
-    return slot
 
 
 @njit(nogil=True, cache=True)
@@ -87,8 +85,7 @@ def cell_of_points(points: F64, group: I32, edge: float) -> tuple[I32, CellTable
     while n_slots < 2 * len(points):
         n_slots *= 2
     number = np.empty(len(points), dtype=np.int32)
-    grid = CellTable(np.empty((len(points), 4), dtype=np.int64), np.full(n_slots, -1, dtype=np.int32))
-    keys, table = grid
+    keys, table = np.empty((len(points), 4), dtype=np.int64), np.full(n_slots, -1, dtype=np.int32)
     n_cells, last = 0, 0
     for i in range(len(points)):
         x, y, z = np.floor(points[i, 0] / edge), np.floor(points[i, 1] / edge), np.floor(points[i, 2] / edge)
@@ -97,7 +94,7 @@ def cell_of_points(points: F64, group: I32, edge: float) -> tuple[I32, CellTable
         if n_cells and keys[last, 0] == X and keys[last, 1] == Y and keys[last, 2] == Z and keys[last, 3] == g:
             number[i] = last
             continue
-        slot = slot_of(grid, X, Y, Z, g)
+        slot = slot_of(keys, table, X, Y, Z, g)
         if table[slot] < 0:
             table[slot] = n_cells
             keys[n_cells, 0], keys[n_cells, 1], keys[n_cells, 2], keys[n_cells, 3] = X, Y, Z, g

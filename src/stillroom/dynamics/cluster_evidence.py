@@ -9,11 +9,14 @@ from stillroom.data.clusters import UNKNOWN, Clusters
 from stillroom.data.frame import Frame
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F32, F64, I16, I64, U8, Bool
-from stillroom.geometry.camera import Camera
+from stillroom.geometry.camera import Camera, Lens
+from stillroom.geometry.distortion import distorted
 from stillroom.geometry.pixels import Shape, grown
 
 STEP_PX = 8
 """Stride of the samples in rows and columns [px]."""
+RUN_PX = 32
+"""Pixels in a row that are looked at together."""
 STAYS, MOVES, MOVES_IN_BOX = 0, 1, 2
 """Bits that apply to all pixels of a cluster."""
 
@@ -62,11 +65,29 @@ class Sampler:
         height, width = clusters.labels.shape
         if self._camera is not frame.camera or self._rays.shape[:2] != (-(-height // STEP_PX), -(-width // STEP_PX)):
             self._camera, self._rays = frame.camera, _rays(frame.camera, height, width)
-        labels = clusters.labels[::STEP_PX, ::STEP_PX]
-        depth_m = frame.image.depth_m[::STEP_PX, ::STEP_PX].astype(np.float64)
-        on = (labels >= 0) & (depth_m > 0)
-        z = depth_m[on][:, None]
-        return ClusterSamples(labels[on].astype(np.int64), np.hstack((self._rays[on] * z, z)))
+        return ClusterSamples(*points_on(clusters.labels, frame.image.depth_m, self._rays))
+
+
+@njit(nogil=True, cache=True)
+def points_on(labels: I16, depth_m: F32, rays: F64) -> tuple[I64, F64]:
+    """Return the cluster (S,) and the point (S, 3) [m] of each known pixel of a cluster on the grid of rays.
+
+    Args:
+        labels: Label image (H, W).
+        depth_m: Depth image (H, W) [m].
+        rays: x/z and y/z (h, w, 2) of every `STEP_PX`-th pixel.
+    """
+    height, width = rays.shape[:2]
+    cluster, points = np.empty(height * width, dtype=np.int64), np.empty((height * width, 3))
+    n = 0
+    for i in range(height):
+        for j in range(width):
+            label, z = labels[i * STEP_PX, j * STEP_PX], np.float64(depth_m[i * STEP_PX, j * STEP_PX])
+            if label >= 0 and z > 0.0:
+                cluster[n] = label
+                points[n, 0], points[n, 1], points[n, 2] = rays[i, j, 0] * z, rays[i, j, 1] * z, z
+                n += 1
+    return cluster[:n], points[:n]
 
 
 def _rays(camera: Camera, height: int, width: int) -> F64:
@@ -109,14 +130,9 @@ class Belief:
         if last is None or len(samples.cluster) == 0:
             return np.zeros(n_clusters)
         T_last_now = last.T_cam_world @ se3.inverse(T_cam_world)
-        points = se3.transform(T_last_now, samples.points_cam_m)
-        ahead = np.flatnonzero(points[:, 2] > 0.1)
-        cell = np.rint(camera.distort(camera.project(points[ahead])) / STEP_PX).astype(np.int64)
-        height, width = last.belief.shape
-        inside = (cell >= 0).all(axis=1) & (cell[:, 0] < width) & (cell[:, 1] < height)
-        ahead, column, row = ahead[inside], cell[inside, 0], cell[inside, 1]
-        near = np.abs(last.depth_m[row, column] - points[ahead, 2]) <= self._reach_m
-        total = np.bincount(samples.cluster[ahead[near]], last.belief[row, column][near], minlength=n_clusters)
+        total = np.zeros(n_clusters)
+        view = (last.belief, last.depth_m, T_last_now, camera.lens)
+        inherit(samples.cluster, samples.points_cam_m, *view, self._reach_m, total)
         fade = np.exp(-max(0.0, now_s - last.timestamp_s) / self._fades_in_s)
         inherited: F64 = fade * total / np.maximum(samples.count(n_clusters), 1.0)
         return inherited
@@ -132,6 +148,36 @@ class Belief:
         padded = np.append(belief, 0.0).astype(np.float32)  # planes and the unknown read the last entry
         depth_m = frame.image.depth_m[::STEP_PX, ::STEP_PX].copy()
         self._last = _Image(frame.timestamp_s, T_cam_world.copy(), padded[np.maximum(labels, -1)], depth_m)
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def inherit(
+    cluster: I64, points_m: F64, belief: F32, depth_m: F32, T: F64, lens: Lens, reach_m: float, total: F64
+) -> None:
+    """Add to the total of each cluster (K,) the log-odds at which the last image saw its points.
+
+    Args:
+        cluster: Cluster of each point (S,).
+        points_m: The points (S, 3) [m, present camera].
+        belief, depth_m: Log-odds and depth [m] of every `STEP_PX`-th pixel of the last image (h, w).
+        T: Motion (4, 4) from the present camera to the last.
+        lens: Of both.
+        reach_m: How far a point may have moved in depth [m].
+        total: Sums, written to.
+    """
+    for i in range(len(points_m)):
+        X, Y, Z = points_m[i, 0], points_m[i, 1], points_m[i, 2]
+        z = T[2, 0] * X + T[2, 1] * Y + T[2, 2] * Z + T[2, 3]
+        if z <= 0.1:
+            continue
+        x = (T[0, 0] * X + T[0, 1] * Y + T[0, 2] * Z + T[0, 3]) / z
+        y = (T[1, 0] * X + T[1, 1] * Y + T[1, 2] * Z + T[1, 3]) / z
+        u, v = distorted(lens, x, y)
+        column, row = np.rint(u / STEP_PX), np.rint(v / STEP_PX)
+        if column >= 0.0 and row >= 0.0 and column < belief.shape[1] and row < belief.shape[0]:
+            at = int(row), int(column)
+            if abs(depth_m[at] - z) <= reach_m:
+                total[cluster[i]] += belief[at]
 
 
 # From log-odds of clusters to dynamic pixels.
@@ -187,10 +233,19 @@ class MovingPixels:
 
 @njit(nogil=True, cache=True)
 def look_up(labels: I16, said: U8, in_boxes: Bool, moving: U8) -> None:
-    """Set `moving` (P,) to 1 where the bits of the pixel's label (P,) call for it, else to 0."""
-    for i in range(len(labels)):
-        word = said[labels[i] + 2]
-        moving[i] = (word & MOVES) | ((word >> 1) & np.uint8(in_boxes[i]))
+    """Set `moving` (P,) to 1 where the bits of the pixel's label (P,) call for it; it is 0 before.
+
+    The first two bits are 0, those of planes and the unknown: runs of such pixels are passed over at once.
+    """
+    for first in range(0, len(labels), RUN_PX):
+        last = min(first + RUN_PX, len(labels))
+        highest = np.int16(-1)
+        for i in range(first, last):
+            highest = max(highest, labels[i])
+        if highest >= 0:
+            for i in range(first, last):
+                word = said[labels[i] + 2]
+                moving[i] = (word & MOVES) | ((word >> 1) & np.uint8(in_boxes[i]))
 
 
 @njit(nogil=True, cache=True)

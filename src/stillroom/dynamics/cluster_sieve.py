@@ -1,10 +1,12 @@
 """OC-SLAM's combined mismatch rejection (2.5): boxes and clusters together decide what is dynamic."""
 
+import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from stillroom.bounds import bounded
+from stillroom.compiled import njit
 from stillroom.data.clusters import Clusters
 from stillroom.data.frame import Frame
 from stillroom.data.motion import Motion, Stage
@@ -13,8 +15,8 @@ from stillroom.dynamics.asking import ImageMemory
 from stillroom.dynamics.cluster_evidence import Belief, ClusterSamples, MovingPixels, Sampler
 from stillroom.dynamics.depth_history import DepthHistory, DepthHistoryConfig
 from stillroom.dynamics.epipolar_sieve import EpipolarConfig
-from stillroom.geometry import se3
-from stillroom.geometry.arrays import F64
+from stillroom.geometry.arrays import F32, F64, I32, Bool
+from stillroom.geometry.camera import Lens
 from stillroom.geometry.pixels import values_at
 from stillroom.protocols import Parts
 
@@ -103,9 +105,9 @@ class ClusterSieve:
         belief = self._believe(question, clusters)
         self._believed.keep(frame.image, question.T_cam_world, (clusters, belief))
         moving = self._pixels.of(clusters, belief, known.movable)
-        raw_px = frame.keypoints.raw_px
-        moves = values_at(moving, raw_px) & ~known.movable_at(raw_px)  # in boxes their own sieve decides
-        moves |= np.append(belief > 0, (False, False))[clusters.labels_at(raw_px)]
+        # In boxes their own sieve decides.
+        moves = values_at(moving, frame.keypoints.raw_px) & ~question.may_move
+        moves |= np.append(belief > 0, (False, False))[clusters.labels_at(frame.keypoints.raw_px)]
         return Motion(motion.is_static & ~moves, moving)
 
     def remember(self, frame: Frame, T_cam_world: F64, keyframe: int) -> None:
@@ -160,13 +162,45 @@ class ClusterSieve:
         cluster, pairs = cluster[on], matches.keep(on)
         if len(pairs) == 0:
             return np.full(len(clusters), 0.5)
-        kp = frame.keypoints
-        depth_m = kp.depth_m[pairs.keypoint]
-        here_m = se3.transform(question.T_cam_world, question.world.points.position_m[pairs.point_id])
-        seen_m = frame.camera.back_project(kp.px[pairs.keypoint], depth_m)
-        step_m = np.maximum(self.config.max_step_m, self.config.max_step_share * depth_m)
-        fails = (depth_m > 0) & (np.linalg.norm(here_m - seen_m, axis=1) > step_m)
+        kp, config, positions_m = frame.keypoints, self.config, question.world.points.position_m
+        limits, lens = (np.float32(config.max_step_m), np.float32(config.max_step_share)), frame.camera.lens
+        fails = has_stepped(pairs.keypoint, pairs.point_id, kp.px, kp.depth_m, positions_m, question.T_cam_world, lens, *limits)
         fails |= self._boxes.is_off_its_line(replace(question, stage=Stage.LOCAL_MAP), pairs)
         n = np.bincount(cluster, minlength=len(clusters))
         share = np.bincount(cluster, fails, minlength=len(clusters)) / np.maximum(n, 1)
         return np.where(n >= self.config.min_pairs, share, 0.5)
+
+
+@njit(nogil=True, cache=True)
+def has_stepped(
+    keypoint: I32,
+    point_id: I32,
+    px: F32,
+    depth_m: F32,
+    position_m: F64,
+    T_cam_world: F64,
+    lens: Lens,
+    max_step_m: float,
+    max_step_share: float,
+) -> Bool:
+    """Return which matches (M,) lie farther from their map points than a step; see `ClusterSieveConfig`.
+
+    Args:
+        keypoint, point_id: The matches (M,).
+        px, depth_m: Undistorted pixels (N, 2) and depths (N,) [m] of the frame's keypoints.
+        position_m: Positions of the map's points (P, 3) [m, world].
+        T_cam_world: Pose of the frame (4, 4).
+        lens: Of its camera.
+        max_step_m, max_step_share: The larger of the first and this share of the depth is no step [m].
+    """
+    T, fails = T_cam_world, np.empty(len(keypoint), dtype=np.bool_)
+    for i in range(len(keypoint)):
+        seen_m = depth_m[keypoint[i]]
+        z = np.float64(seen_m)
+        X, Y, Z = position_m[point_id[i], 0], position_m[point_id[i], 1], position_m[point_id[i], 2]
+        dx = T[0, 0] * X + T[0, 1] * Y + T[0, 2] * Z + T[0, 3] - (px[keypoint[i], 0] - lens.cx) / lens.fx * z
+        dy = T[1, 0] * X + T[1, 1] * Y + T[1, 2] * Z + T[1, 3] - (px[keypoint[i], 1] - lens.cy) / lens.fy * z
+        dz = T[2, 0] * X + T[2, 1] * Y + T[2, 2] * Z + T[2, 3] - z
+        step_m = max(max_step_m, max_step_share * seen_m)
+        fails[i] = z > 0.0 and math.sqrt(dx * dx + dy * dy + dz * dz) > step_m
+    return fails

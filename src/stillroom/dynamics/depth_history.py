@@ -64,6 +64,7 @@ class DepthHistory:
         self.config = config
         length = int(np.ceil(max(config.ages_s) / config.interval_s)) + 2
         self._images: deque[_Remembered] = deque(maxlen=length)
+        self._chosen: tuple[float, list[_Remembered]] | None = None
 
     def remember(self, frame: Frame, T_cam_world: F64) -> None:
         """Store the frame's depth image, if the last stored one is old enough."""
@@ -72,12 +73,14 @@ class DepthHistory:
             return
         small = frame.image.depth_m[::STRIDE, ::STRIDE].copy()
         self._images.append(_Remembered(stamp, T_cam_world.copy(), small))
+        self._chosen = None
 
     def follow(self, T_new_old: F64) -> None:
         """Move the stored poses by a motion (4, 4) of the world's coordinates."""
         T_old_new = se3.inverse(T_new_old)
         moved = [replace(image, T_cam_world=image.T_cam_world @ T_old_new) for image in self._images]
         self._images = deque(moved, maxlen=self._images.maxlen)
+        self._chosen = None
 
     def evidence(self, camera: Camera, points_world_m: F64, now_s: float) -> Evidence:
         """Compare points (N, 3) [m, world] with earlier images."""
@@ -89,7 +92,12 @@ class DepthHistory:
         return Evidence(agrees, empty)
 
     def _asked(self, now_s: float) -> list[_Remembered]:
-        """Return the stored images nearest to the configured ages, each once."""
+        """Return the stored images nearest to the configured ages, each once; the same list for the same time."""
+        if self._chosen is None or self._chosen[0] != now_s:
+            self._chosen = (now_s, self._nearest(now_s))
+        return self._chosen[1]
+
+    def _nearest(self, now_s: float) -> list[_Remembered]:
         if not self._images:
             return []
         ages_s = np.array([now_s - image.timestamp_s for image in self._images])
@@ -111,7 +119,7 @@ class SmallView(NamedTuple):
     lens: Lens
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def ask(
     view: SmallView, points_world_m: F64, tolerance_m: float, tolerance_share: float, agrees: I64, empty: I64
 ) -> None:
@@ -127,8 +135,9 @@ def ask(
         agrees, empty: Counters.
     """
     depth_m, T, lens = view
+    last_row, last_column = depth_m.shape[0] - 1, depth_m.shape[1] - 1
     for i in range(len(points_world_m)):
-        X, Y, Z = points_world_m[i]
+        X, Y, Z = points_world_m[i, 0], points_world_m[i, 1], points_world_m[i, 2]
         z = T[2, 0] * X + T[2, 1] * Y + T[2, 2] * Z + T[2, 3]
         if z <= 0.1:
             continue
@@ -138,17 +147,16 @@ def ask(
         if not (u >= STRIDE and v >= STRIDE and u < STRIDE * 10000 and v < STRIDE * 10000):
             continue
         column, row = int(u / STRIDE + 0.5), int(v / STRIDE + 0.5)
-        if row >= depth_m.shape[0] - 1 or column >= depth_m.shape[1] - 1:
+        if row >= last_row or column >= last_column:
             continue
         tolerance = max(tolerance_m, tolerance_share * z)
-        n_known, n_behind, there = 0, 0, False
+        n_known, n_behind, n_there = 0, 0, 0
         for dy in range(-1, 2):
             for dx in range(-1, 2):
                 seen = depth_m[row + dy, column + dx]
-                if seen <= 0.0:
-                    continue
-                n_known += 1
-                there = there or abs(seen - z) <= tolerance
-                n_behind += seen > z + tolerance
-        agrees[i] += there
-        empty[i] += n_known > 0 and n_behind == n_known
+                known = not seen <= 0.0
+                n_known += known
+                n_there += known & (abs(seen - z) <= tolerance)
+                n_behind += known & (seen > z + tolerance)
+        agrees[i] += n_there > 0
+        empty[i] += (n_known > 0) & (n_behind == n_known)

@@ -98,15 +98,16 @@ class DepthClusterer:
         grid = self._grid_for(*image.depth_m.shape)
         points_m = back_project(image.depth_m, grid, config.min_depth_m, config.max_depth_m)
         planes = find_planes(points_m, grid.ray_area, config.planes)
-        free = (points_m[..., 2] > 0) & (planes.plane_of < 0)
+        z_m = np.ascontiguousarray(points_m[..., 2])
+        free = (z_m > 0) & (planes.plane_of < 0)
         known = semantics.result()
         boxes_px = known.boxes_xyxy_px
         if config.leave_out_masked:
             boxes_px = boxes_xyxy_px(known.named)
             if known.mask is not None:
-                free &= ~known.mask[np.ix_(grid.rows, grid.columns)]
+                free &= ~known.mask[grid.pixels]
         owner = claim_foregrounds(
-            points_m[..., 2],
+            z_m,
             free,
             grid.rows,
             grid.columns,
@@ -124,11 +125,12 @@ class DepthClusterer:
 
     def _noun(self, image: RgbdImage, grid: RayGrid, points_m: F32, planes: Planes, found: CloudSegments) -> Clusters:
         """Return the clusters with their label image."""
-        labels = np.where(planes.plane_of >= 0, PLANE, np.where(found.segment_of >= 0, found.segment_of, UNKNOWN))
+        labels = found.segment_of.astype(np.int16)
+        np.putmask(labels, planes.plane_of >= 0, PLANE)
         limits = self.config.segments
         steps = (limits.tolerance_m, limits.tolerance_share)
         return Clusters(
-            labels=spread_labels(labels.astype(np.int16), points_m, image.depth_m, grid, *steps, UNKNOWN),
+            labels=spread_labels(labels, points_m, image.depth_m, grid, *steps, UNKNOWN),
             n_points=found.n_points,
             centroid_m=found.centroid_m,
             lower_m=found.lower_m,

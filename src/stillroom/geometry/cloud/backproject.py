@@ -31,6 +31,11 @@ class RayGrid:
         """Rows and columns of the grid."""
         return len(self.rows), len(self.columns)
 
+    @property
+    def pixels(self) -> tuple[slice, slice]:
+        """What `image[grid.pixels]` takes of an image: the value at each of the grid's pixels (h, w)."""
+        return slice(self.rows[0], None, self.stride), slice(self.columns[0], None, self.stride)
+
 
 def ray_grid(camera: Camera, height: int, width: int, stride: int) -> RayGrid:
     """Return the rays of an image's pixels, the distortion of the lens taken out.

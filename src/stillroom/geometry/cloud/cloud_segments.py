@@ -9,13 +9,14 @@ from stillroom.bounds import bounded
 from stillroom.compiled import njit
 from stillroom.geometry.arrays import F32, F64, I16, I32, I64, Bool, Floats
 from stillroom.geometry.cloud.backproject import RayGrid
-from stillroom.geometry.cloud.euclidean import depth_scaled, euclidean_clusters
+from stillroom.geometry.cloud.euclidean import depth_scaled, euclidean_clusters, is_near, join
 from stillroom.geometry.cloud.voxels import voxel_filter
 
 NO_BOX = -1
 BIN_M = 0.05
 MANY = 0.6
 NO_SEGMENT = -1
+NO_LABEL = -100000
 
 
 # From labels of a cloud's points to a label image on all pixels.
@@ -62,42 +63,92 @@ class DepthSamples(NamedTuple):
 def spread_into(
     samples: DepthSamples, depth_m: F32, step_m: float, step_share: float, unknown: int, image: I16
 ) -> None:
-    """Fill the label image (H, W); see `spread_labels`."""
+    """Fill the label image (H, W); see `spread_labels`.
+
+    All pixels of a row are labelled at once, by steps that compile to vector instructions: those between four samples
+    on one surface, and then the others.
+    """
     labels, z, rows, columns = samples
     last_i, last_j = len(rows) - 1, len(columns) - 1
     height, width = image.shape
+    block_of = np.zeros(width, dtype=np.int32)  # the sample at the upper left of each pixel
+    for c in range(columns[0], width):
+        block_of[c] = block_of[c - 1] + (c == columns[min(block_of[c - 1] + 1, last_j)]) if c else 0
+    low, high = np.empty(last_j + 1, dtype=np.float32), np.empty(last_j + 1, dtype=np.float32)
+    is_mixed, mixed = np.empty(last_j + 1, dtype=np.uint8), np.empty(width, dtype=np.int32)
+    low_at, high_at, label_at = np.empty(width, np.float32), np.empty(width, np.float32), np.empty(width, np.int16)
     for i0 in range(last_i + 1):
         i1 = min(i0 + 1, last_i)
-        top, bottom = (0 if i0 == 0 else rows[i0]), (height if i0 == last_i else rows[i1])
         for j0 in range(last_j + 1):
             j1 = min(j0 + 1, last_j)
-            left, right = (0 if j0 == 0 else columns[j0]), (width if j0 == last_j else columns[j1])
-            z0, z1, z2, z3 = z[i0, j0], z[i0, j1], z[i1, j0], z[i1, j1]
-            if z0 <= 0.0 and z1 <= 0.0 and z2 <= 0.0 and z3 <= 0.0:
-                continue
-            a0, a1, a2, a3 = labels[i0, j0], labels[i0, j1], labels[i1, j0], labels[i1, j1]
-            nearest, farthest = min(z0, z1, z2, z3), max(z0, z1, z2, z3)
+            a0, nearest = labels[i0, j0], min(min(z[i0, j0], z[i0, j1]), min(z[i1, j0], z[i1, j1]))
+            farthest = max(max(z[i0, j0], z[i0, j1]), max(z[i1, j0], z[i1, j1]))
             step = max(step_m, step_share * farthest)
-            if a0 == a1 == a2 == a3 and nearest > 0.0 and farthest - nearest <= step:
-                # One surface: what lies between the samples in depth is within the step of one of them.
-                low, high = max(nearest - step, np.float32(0.0)), farthest + step
-                for r in range(top, bottom):
-                    for c in range(left, right):
-                        image[r, c] = a0 if low < depth_m[r, c] <= high else unknown
-                continue
-            for r in range(top, bottom):
-                for c in range(left, right):
-                    depth = depth_m[r, c]
-                    # An unknown sample's depth of 0 is as far from the pixel's as the pixel is from the camera.
-                    best, label = abs(z0 - depth), a0
-                    if abs(z1 - depth) < best:
-                        best, label = abs(z1 - depth), a1
-                    if abs(z2 - depth) < best:
-                        best, label = abs(z2 - depth), a2
-                    if abs(z3 - depth) < best:
-                        best, label = abs(z3 - depth), a3
-                    if best <= step and best < depth:
-                        image[r, c] = label
+            # One surface: what lies between the samples in depth is within the step of one of them.
+            is_one = (a0 == labels[i0, j1]) & (a0 == labels[i1, j0]) & (a0 == labels[i1, j1]) & (nearest > 0.0)
+            is_one &= farthest - nearest <= step
+            low[j0] = max(nearest - step, np.float32(0.0)) if is_one else np.float32(np.inf)
+            high[j0] = farthest + step
+            is_mixed[j0] = not is_one and farthest > 0.0
+        n_mixed = 0
+        for c in range(width):
+            low_at[c], high_at[c], label_at[c] = low[block_of[c]], high[block_of[c]], labels[i0, block_of[c]]
+            mixed[n_mixed] = c
+            n_mixed += is_mixed[block_of[c]]
+        top, bottom = (0 if i0 == 0 else rows[i0]), (height if i0 == last_i else rows[i1])
+        for r in range(top, bottom):
+            for c in range(width):
+                is_on = np.int16(low_at[c] < depth_m[r, c]) & np.int16(depth_m[r, c] <= high_at[c])
+                image[r, c] = unknown + is_on * (label_at[c] - unknown)
+        at = mixed[:n_mixed]
+        spread_mixed(samples, i0, at, block_of, depth_m[top:bottom], step_m, step_share, image[top:bottom])
+
+
+@njit(nogil=True, cache=True)
+def spread_mixed(
+    samples: DepthSamples, i0: int, mixed: I32, block_of: I32, depth_m: F32, step_m: float, step_share: float, image: I16
+) -> None:
+    """Label pixels of some rows (R, W) by the nearest in depth of the four samples around each.
+
+    Args:
+        samples: The samples.
+        i0: Row of samples above.
+        mixed: Columns of the pixels (C,).
+        block_of: Column of samples to the left of each pixel (W,).
+        depth_m: Depth of the rows (R, W) [m].
+        step_m, step_share: Largest difference in depth; see `spread_labels`.
+        image: Labels (R, W), written to; unknown before.
+    """
+    labels, z = samples.labels, samples.z
+    i1, n = min(i0 + 1, z.shape[0] - 1), len(mixed)
+    around, label = np.empty((4, n), dtype=np.float32), np.empty((4, n), dtype=np.float32)
+    step, depth, found = np.empty(n, np.float32), np.empty(n, np.float32), np.empty(n, np.float32)
+    for m in range(n):
+        j0 = block_of[mixed[m]]
+        j1 = min(j0 + 1, z.shape[1] - 1)
+        around[0, m], around[1, m], around[2, m], around[3, m] = z[i0, j0], z[i0, j1], z[i1, j0], z[i1, j1]
+        label[0, m], label[1, m], label[2, m], label[3, m] = labels[i0, j0], labels[i0, j1], labels[i1, j0], labels[i1, j1]
+        step[m] = max(step_m, step_share * max(around[0, m], around[1, m], around[2, m], around[3, m]))
+    z0, z1, z2, z3 = around
+    a0, a1, a2, a3 = label
+    none = np.float32(NO_LABEL)
+    for r in range(len(depth_m)):
+        for m in range(n):
+            depth[m] = depth_m[r, mixed[m]]
+        for m in range(n):
+            # An unknown sample's depth of 0 is as far from the pixel's as the pixel is from the camera.
+            d, best, a, other = depth[m], abs(z0[m] - depth[m]), a0[m], a1[m]
+            away = abs(z1[m] - d)
+            a, best, other = other if away < best else a, away if away < best else best, a2[m]
+            away = abs(z2[m] - d)
+            a, best, other = other if away < best else a, away if away < best else best, a3[m]
+            away = abs(z3[m] - d)
+            a, best = other if away < best else a, away if away < best else best
+            best = best if best < d else np.float32(np.inf)
+            found[m] = a if best <= step[m] else none
+        for m in range(n):
+            if found[m] != none:
+                image[r, mixed[m]] = np.int16(found[m])
 
 
 # The foreground of a box: pixels near the depth that most of them have.
@@ -131,16 +182,35 @@ def claim_foregrounds(
     """
     owner = np.full(z_m.shape, NO_BOX, dtype=np.int16)
     windows = [_window(box, rows, columns) for box in boxes_xyxy_px]
-    first = [_mode(z_m[at][free[at]], half_depth_m) for at in windows]
+    first = [_mode(unclaimed_depths(z_m[at], free[at], owner[at]), half_depth_m) for at in windows]
     # Of boxes at one depth the one with most support claims first; the other's foreground may be what is left of it.
     for k in sorted(range(len(windows)), key=lambda k: (round(first[k][0] / half_depth_m), -first[k][1], k)):
         at = windows[k]
-        left = free[at] & (owner[at] == NO_BOX)
-        centre_m, support = _mode(z_m[at][left], half_depth_m)
-        if support == 0 or support < min_share * left.size:
-            continue
-        owner[at][left & (np.abs(z_m[at] - centre_m) <= half_depth_m)] = k
+        centre_m, support = _mode(unclaimed_depths(z_m[at], free[at], owner[at]), half_depth_m)
+        if support and support >= min_share * owner[at].size:
+            claim(z_m[at], free[at], np.float32(centre_m), np.float32(half_depth_m), np.int16(k), owner[at])
     return owner
+
+
+@njit(nogil=True, cache=True)
+def unclaimed_depths(z_m: F32, free: Bool, owner: I16) -> F32:
+    """Return the depths (N,) [m] of samples (h, w) that are free, and that no box has claimed."""
+    depths_m = np.empty(z_m.size, dtype=np.float32)
+    n = 0
+    for i in range(z_m.shape[0]):
+        for j in range(z_m.shape[1]):
+            depths_m[n] = z_m[i, j]
+            n += free[i, j] and owner[i, j] == NO_BOX
+    return depths_m[:n]
+
+
+@njit(nogil=True, cache=True)
+def claim(z_m: F32, free: Bool, centre_m: float, half_depth_m: float, box: int, owner: I16) -> None:
+    """Give the free samples (h, w) that no box has claimed, and that are near in depth, to a box."""
+    for i in range(z_m.shape[0]):
+        for j in range(z_m.shape[1]):
+            if free[i, j] and owner[i, j] == NO_BOX and abs(z_m[i, j] - centre_m) <= half_depth_m:
+                owner[i, j] = box
 
 
 def _window(box: Floats, rows: I32, columns: I32) -> tuple[slice, slice]:
@@ -164,8 +234,9 @@ def _mode(z_m: F32, half_depth_m: float) -> tuple[float, int]:
     # From where it starts to hold many on to where it holds most.
     while last + 1 < len(held) and held[last + 1] > held[last]:
         last += 1
-    inside = np.sort(z_m[(z_m >= (last - width + 1) * BIN_M) & (z_m < (last + 1) * BIN_M)])
-    return float(inside[len(inside) // 2]) if len(inside) else 0.0, int(held[last])
+    inside = z_m[(z_m >= (last - width + 1) * BIN_M) & (z_m < (last + 1) * BIN_M)]
+    middle = len(inside) // 2
+    return float(np.partition(inside, middle)[middle]) if len(inside) else 0.0, int(held[last])
 
 
 @dataclass(frozen=True)
@@ -212,17 +283,23 @@ class CloudSegments:
 
 @dataclass(frozen=True)
 class _Pieces:
-    """Euclidean clusters before they are merged: of samples (N,), of voxels (M,) with means and weights."""
+    """P Euclidean clusters of M voxels before they are merged.
 
-    of_sample: I32
+    Attributes:
+        voxel_at: Voxel of each sample (h, w), −1 for none.
+        of_voxel: Piece of each voxel (M,).
+        mean_m: Mean of each voxel (M, 3) [m].
+        weight: Samples of each voxel (M,).
+        box: Box whose foreground each piece is (P,), −1 for none.
+        sizes: Voxels of each piece (P,).
+    """
+
+    voxel_at: I32
     of_voxel: I32
     mean_m: F64
     weight: I32
     box: I32
-
-    @property
-    def sizes(self) -> I64:
-        return np.bincount(self.of_voxel, minlength=len(self.box))
+    sizes: I64
 
 
 def segment(
@@ -241,95 +318,69 @@ def segment(
         grid: The samples' pixels.
         limits: How points become clusters.
     """
-    pieces = _pieces(points_m[free], owner[free], len(boxes_xyxy_px), limits)
+    pieces = _pieces(points_m, free, owner, len(boxes_xyxy_px), limits)
     target = np.arange(len(pieces.box), dtype=np.int32)
-    _gather_crumbs(pieces, target, limits)
-    piece_of = np.full(free.shape, NO_SEGMENT, dtype=np.int32)
-    piece_of[free] = pieces.of_sample
-    _give_limbs_back(pieces, piece_of, points_m[..., 2], boxes_xyxy_px, grid, target, limits)
-    return _largest_first(pieces, target, piece_of, limits)
+    if np.any(pieces.box >= 0):
+        _gather_crumbs(pieces, target, limits)
+        _give_limbs_back(pieces, points_m, boxes_xyxy_px, grid, target, limits)
+    return _largest_first(pieces, target, limits)
 
 
-def _pieces(points_m: F32, owner: I16, n_boxes: int, limits: SegmentLimits) -> _Pieces:
-    of_sample = np.full(len(points_m), NO_SEGMENT, dtype=np.int32)
-    of_voxel, means, weights = [np.zeros(0, np.int32)], [np.zeros((0, 3))], [np.zeros(0, np.int32)]
-    boxes: list[int] = []
-    for box in range(NO_BOX, n_boxes):
-        chosen = np.flatnonzero(owner == box)
-        if len(chosen) == 0:
-            continue
-        voxels = voxel_filter(points_m[chosen], limits.voxel_m)
-        scaled = depth_scaled(voxels.mean_m, limits.tolerance_m, limits.tolerance_share)
-        piece = euclidean_clusters(scaled, 1.0) + np.int32(len(boxes))
-        of_sample[chosen] = piece[voxels.voxel_of]
-        of_voxel.append(piece)
-        means.append(voxels.mean_m)
-        weights.append(voxels.n_points)
-        boxes += [box] * (int(piece.max()) + 1 - len(boxes))
-    box_of = np.array(boxes, dtype=np.int32)
-    return _Pieces(of_sample, np.concatenate(of_voxel), np.concatenate(means), np.concatenate(weights), box_of)
+def _pieces(points_m: F32, free: Bool, owner: I16, n_boxes: int, limits: SegmentLimits) -> _Pieces:
+    at, points, box = sorted_by_box(points_m, free, owner, n_boxes)
+    voxels = voxel_filter(points, limits.voxel_m, box)
+    scaled = depth_scaled(voxels.mean_m, limits.tolerance_m, limits.tolerance_share)
+    voxel_at = np.full(free.shape, NO_SEGMENT, dtype=np.int32)
+    joined = np.arange(len(voxels), dtype=np.int32)
+    join_adjacent(at, voxels.voxel_of, voxels.group, scaled, voxel_at, joined)
+    of_voxel = euclidean_clusters(scaled, 1.0, voxels.group, joined)
+    sizes = np.bincount(of_voxel)
+    box_of = np.empty(len(sizes), dtype=np.int32)
+    box_of[of_voxel] = voxels.group
+    return _Pieces(voxel_at, of_voxel, voxels.mean_m, voxels.n_points, box_of, sizes)
 
 
 def _gather_crumbs(pieces: _Pieces, target: I32, limits: SegmentLimits) -> None:
     """Merge fragments too small for a cluster, in a box's foreground, with the largest cluster there."""
-    sizes = pieces.sizes
     for box in range(int(pieces.box.max(initial=NO_BOX)) + 1):
         own = np.flatnonzero(pieces.box == box)
         if len(own):
-            target[own[sizes[own] < limits.min_points]] = own[np.argmax(sizes[own])]
+            target[own[pieces.sizes[own] < limits.min_points]] = own[np.argmax(pieces.sizes[own])]
 
 
 def _give_limbs_back(
-    pieces: _Pieces, piece_of: I32, z_m: F32, boxes_px: Floats, grid: RayGrid, target: I32, limits: SegmentLimits
+    pieces: _Pieces, points_m: F32, boxes_px: Floats, grid: RayGrid, target: I32, limits: SegmentLimits
 ) -> None:
     """Merge small pieces beyond a box with the box's cluster that they touch most."""
-    if not np.any(pieces.box >= 0):
+    n, steps = len(target), (np.float32(limits.tolerance_m), np.float32(limits.tolerance_share))
+    touching = contacts(points_m, pieces.voxel_at, pieces.of_voxel, pieces.box, *steps)
+    if len(touching) == 0:
         return
-    total = np.bincount(target, pieces.sizes, len(target))
-    sizes = pieces.sizes
-    low, high = _bounds(piece_of, grid, len(target))
-    for limb, body in _contacts(piece_of, z_m, limits):
-        if pieces.box[limb] != NO_BOX or pieces.box[body] == NO_BOX or target[limb] != limb:
+    keys, counts = np.unique(touching, return_counts=True)
+    total = np.bincount(target, pieces.sizes, n)
+    low, high = np.full((n, 2), np.inf), np.full((n, 2), -np.inf)
+    stretch(pieces.voxel_at, pieces.of_voxel, grid.columns, grid.rows, low, high)
+    for key in keys[np.argsort(-counts, kind="stable")].tolist():  # the longest contact first
+        limb, body = divmod(key, n)
+        if target[limb] != limb:
             continue
         box = boxes_px[pieces.box[body]]
         reach_px = limits.limb_reach * (box[2] - box[0])
         inside = np.all(low[limb] >= box[:2] - reach_px) and np.all(high[limb] <= box[2:] + reach_px)
-        if inside and sizes[limb] <= limits.limb_share * total[target[body]]:
+        if inside and pieces.sizes[limb] <= limits.limb_share * total[target[body]]:
             target[limb] = target[body]
 
 
-def _contacts(piece_of: I32, z_m: F32, limits: SegmentLimits) -> list[tuple[int, int]]:
-    """Return the pairs of pieces that touch in the image and in depth, both ways round, the longest contact first."""
-    pairs = []
-    n = int(piece_of.max(initial=0)) + 1
-    for here, there in (((slice(None), slice(None, -1)), (slice(None), slice(1, None))), (np.s_[:-1], np.s_[1:])):
-        a, b = piece_of[here], piece_of[there]
-        step = np.maximum(np.float32(limits.tolerance_m), np.float32(limits.tolerance_share) * z_m[here])
-        touch = (a != b) & (a >= 0) & (b >= 0) & (np.abs(z_m[here] - z_m[there]) <= step)
-        first, second = a[touch].astype(np.int64), b[touch].astype(np.int64)
-        pairs += [first * n + second, second * n + first]
-    keys, counts = np.unique(np.concatenate(pairs), return_counts=True)
-    ordered = keys[np.argsort(-counts, kind="stable")]
-    return [(int(key) // n, int(key) % n) for key in ordered]
-
-
-def _bounds(piece_of: I32, grid: RayGrid, n: int) -> tuple[F64, F64]:
-    """Return the corners of the image boxes around n pieces (n, 2) each [px]."""
-    low, high = np.full((n, 2), np.inf), np.full((n, 2), -np.inf)
-    stretch(piece_of, grid.columns.astype(np.float64), grid.rows.astype(np.float64), low, high)
-    return low, high
-
-
-def _largest_first(pieces: _Pieces, target: I32, piece_of: I32, limits: SegmentLimits) -> CloudSegments:
+def _largest_first(pieces: _Pieces, target: I32, limits: SegmentLimits) -> CloudSegments:
     """Merge pieces, drop what is too small, and measure the rest."""
-    of_voxel = target[pieces.of_voxel]
-    size = np.bincount(of_voxel, minlength=len(target))
+    size = np.bincount(target, pieces.sizes, len(target)).astype(np.int64)
     order = np.argsort(-size, kind="stable")[: int((size >= limits.min_points).sum())]
-    rank = np.full(len(target) + 1, NO_SEGMENT, dtype=np.int32)  # the last is that of no piece
+    rank = np.full(len(target), NO_SEGMENT, dtype=np.int32)
     rank[order] = np.arange(len(order))
-    total, centroid, lower, upper = measure(pieces.mean_m, pieces.weight, rank[of_voxel], len(order))
+    of_voxel = rank[target][pieces.of_voxel]
+    total, centroid, lower, upper = measure(pieces.mean_m, pieces.weight, of_voxel, len(order))
     return CloudSegments(
-        segment_of=np.where(piece_of >= 0, rank[np.append(target, len(target))[piece_of]], NO_SEGMENT).astype(np.int32),
+        segment_of=renumbered(pieces.voxel_at, of_voxel),
         box=pieces.box[order],
         n_points=size[order].astype(np.int32),
         centroid_m=(centroid / np.maximum(total, 1.0)[:, None]).astype(np.float32),
@@ -339,16 +390,112 @@ def _largest_first(pieces: _Pieces, target: I32, piece_of: I32, limits: SegmentL
 
 
 @njit(nogil=True, cache=True)
-def stretch(piece_of: I32, columns_px: F64, rows_px: F64, low: F64, high: F64) -> None:
-    """Move the corners `low` and `high` (n, 2) of the pieces' boxes apart until all samples (h, w) lie in them."""
-    for row in range(piece_of.shape[0]):
-        for column in range(piece_of.shape[1]):
-            piece = piece_of[row, column]
-            if piece >= 0:
+def sorted_by_box(points: F32, free: Bool, owner: I16, n_boxes: int) -> tuple[I32, F64, I32]:
+    """Sort the free samples (h, w) by the box that owns them, those of none first, each box's as they come.
+
+    Returns:
+        Flat index of each (N,), its point (N, 3) [m], and its box (N,).
+    """
+    start = np.zeros(n_boxes + 2, dtype=np.int64)
+    for i in range(free.shape[0]):
+        for j in range(free.shape[1]):
+            if free[i, j]:
+                start[owner[i, j] + 2] += 1
+    start[:] = np.cumsum(start)
+    n = start[-1]
+    at, sorted_points, box = np.empty(n, dtype=np.int32), np.empty((n, 3)), np.empty(n, dtype=np.int32)
+    for i in range(free.shape[0]):
+        for j in range(free.shape[1]):
+            if free[i, j]:
+                k = start[owner[i, j] + 1]
+                start[owner[i, j] + 1] += 1
+                at[k], box[k] = i * free.shape[1] + j, owner[i, j]
+                sorted_points[k, 0], sorted_points[k, 1] = points[i, j, 0], points[i, j, 1]
+                sorted_points[k, 2] = points[i, j, 2]
+    return at, sorted_points, box
+
+
+@njit(nogil=True, cache=True)
+def join_adjacent(at: I32, voxel_of: I32, group: I32, scaled: F64, voxel_at: I32, joined: I32) -> None:
+    """Paint the samples' voxels, and join those of samples beside each other: most neighbours are found so.
+
+    Args:
+        at: Flat index of each sample (N,).
+        voxel_of: Its voxel (N,).
+        group: Group of each voxel (M,).
+        scaled: Where each voxel is (M, 3), in tolerances.
+        voxel_at: Voxel of each sample (h, w), −1 for none; written to.
+        joined: The forest of voxels (M,), written to.
+    """
+    width = voxel_at.shape[1]
+    for i in range(len(at)):
+        voxel_at[at[i] // width, at[i] % width] = voxel_of[i]
+    for r in range(voxel_at.shape[0]):
+        for c in range(width):
+            here = voxel_at[r, c]
+            if here < 0:
+                continue
+            for before in (voxel_at[r, c - 1] if c else NO_SEGMENT, voxel_at[r - 1, c] if r else NO_SEGMENT):
+                if before < 0 or before == here or group[before] != group[here]:
+                    continue
+                if joined[before] != joined[here] and is_near(scaled, here, before, 1.0):
+                    join(joined, here, before)
+
+
+@njit(nogil=True, cache=True)
+def contacts(
+    points: F32, voxel_at: I32, of_voxel: I32, box: I32, tolerance_m: float, tolerance_share: float
+) -> I64:
+    """Return limb · P + body for each contact in image and depth of a piece in no box with a piece of a box.
+
+    Args:
+        points: Organised cloud (h, w, 3) [m].
+        voxel_at: Voxel of each sample (h, w), −1 for none.
+        of_voxel: Piece of each voxel (M,).
+        box: Box of each of the P pieces (P,), −1 for none.
+        tolerance_m, tolerance_share: Largest step in depth of a contact; see `SegmentLimits`.
+    """
+    found = np.empty(2 * voxel_at.size, dtype=np.int64)
+    n = 0
+    for i in range(voxel_at.shape[0]):
+        for j in range(voxel_at.shape[1]):
+            if voxel_at[i, j] < 0:
+                continue
+            here, z = of_voxel[voxel_at[i, j]], points[i, j, 2]
+            for k, m in ((i, j + 1), (i + 1, j)):
+                if k == voxel_at.shape[0] or m == voxel_at.shape[1] or voxel_at[k, m] < 0:
+                    continue
+                there = of_voxel[voxel_at[k, m]]
+                if (box[here] == NO_BOX) == (box[there] == NO_BOX):
+                    continue
+                if abs(z - points[k, m, 2]) <= max(tolerance_m, tolerance_share * z):
+                    limb, body = (here, there) if box[here] == NO_BOX else (there, here)
+                    found[n] = np.int64(limb) * len(box) + body
+                    n += 1
+    return found[:n]
+
+
+@njit(nogil=True, cache=True)
+def stretch(voxel_at: I32, of_voxel: I32, columns_px: I32, rows_px: I32, low: F64, high: F64) -> None:
+    """Move the corners `low` and `high` (P, 2) [px] of the pieces' boxes apart until all their samples lie in them."""
+    for row in range(voxel_at.shape[0]):
+        for column in range(voxel_at.shape[1]):
+            if voxel_at[row, column] >= 0:
+                piece = of_voxel[voxel_at[row, column]]
                 low[piece, 0] = min(low[piece, 0], columns_px[column])
                 low[piece, 1] = min(low[piece, 1], rows_px[row])
                 high[piece, 0] = max(high[piece, 0], columns_px[column])
                 high[piece, 1] = max(high[piece, 1], rows_px[row])
+
+
+@njit(nogil=True, cache=True)
+def renumbered(voxel_at: I32, of_voxel: I32) -> I32:
+    """Return what each sample's (h, w) voxel (M,) belongs to, `NO_SEGMENT` where it has none."""
+    found = np.empty_like(voxel_at)
+    for i in range(voxel_at.shape[0]):
+        for j in range(voxel_at.shape[1]):
+            found[i, j] = of_voxel[voxel_at[i, j]] if voxel_at[i, j] >= 0 else NO_SEGMENT
+    return found
 
 
 @njit(nogil=True, cache=True)

@@ -11,109 +11,197 @@ import math
 import numpy as np
 
 from stillroom.compiled import njit
-from stillroom.geometry.arrays import F32, F64, I32, Bool
+from stillroom.geometry.arrays import F32, F64, I16, I32, U8, U16
 
 N_TERMS = 6
 """1, x, y, x², x·y, y²: a parabola over the rays."""
+BLOCK = 256
+"""Samples that are summed at once."""
 N_SUMS = 10
 """n, Σx, Σy, Σxx, Σxy, Σyy, Σq, Σxq, Σyq, Σqq, where q is the inverse depth."""
 
 
-# Passes over an organised cloud, for one plane: the misfits of the samples, and the camera's distortion of it.
+# Passes over all samples of a cloud, for one plane: the misfits, the camera's distortion of it, and what lies on it.
 
 
-@njit(nogil=True, cache=True)
-def plane_misfits(points: F32, slope: F64) -> F32:
+@njit(nogil=True, cache=True, error_model="numpy")
+def layers_of(points: F32) -> F32:
+    """Return X, Y, Z, X/Z and Y/Z of points (N, 3), each on its own (5, N) [m]; all 0 where Z is."""
+    layers = np.zeros((5, len(points)), dtype=np.float32)
+    for i in range(len(points)):
+        z = points[i, 2]
+        if z > 0.0:
+            layers[0, i], layers[1, i], layers[2, i] = points[i, 0], points[i, 1], z
+            layers[3, i], layers[4, i] = points[i, 0] / z, points[i, 1] / z
+    return layers
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def plane_misfits(layers: F32, slope: F64) -> F32:
     """Return by how much each sample is nearer than a plane, in inverse depth.
 
     Args:
-        points: Points (h, w, 3) [m]; z = 0 where unknown.
+        layers: Samples (5, N) [m]; see `layers_of`.
         slope: The plane's a, b, c (3,).
 
     Returns:
-        Misfits (h, w) [1/m]; infinite where unknown.
+        Misfits (N,) [1/m]; infinite where unknown.
     """
-    off = np.full(points.shape[:2], np.inf, dtype=np.float32)
+    X, Y, Z = layers[0], layers[1], layers[2]
+    off = np.empty(len(Z), dtype=np.float32)
     a, b, c = slope
-    for i in range(points.shape[0]):
-        for j in range(points.shape[1]):
-            z = points[i, j, 2]
-            if z > 0.0:
-                off[i, j] = (1.0 - a * points[i, j, 0] - b * points[i, j, 1]) / z - c
+    for i in range(len(Z)):
+        off[i] = (1.0 - a * X[i] - b * Y[i]) / Z[i] - c if Z[i] > 0.0 else np.inf
     return off
 
 
 @njit(nogil=True, cache=True)
-def parabola_sums(points: F32, off: F32, limit: float) -> tuple[F64, F64, int]:
-    """Return the normal equations (6, 6) and (6,) of a parabola through misfits up to a limit, and how many they are.
+def parabola_sums(layers: F32, off: F32, limit: float) -> tuple[F64, int]:
+    """Return the normal equations of a parabola through misfits up to a limit, and how many they are.
 
     Args:
-        points: Points (h, w, 3) [m].
-        off: Misfits (h, w) [1/m]; infinite where unknown.
+        layers: Samples (5, N) [m].
+        off: Misfits (N,) [1/m]; infinite where unknown.
         limit: Largest misfit that counts [1/m].
-    """
-    normal, right = np.zeros((N_TERMS, N_TERMS)), np.zeros(N_TERMS)
-    t = np.ones(N_TERMS)
-    n = 0
-    for i in range(points.shape[0]):
-        for j in range(points.shape[1]):
-            if not abs(off[i, j]) <= limit:
-                continue
-            n += 1
-            x, y = points[i, j, 0] / points[i, j, 2], points[i, j, 1] / points[i, j, 2]
-            t[1], t[2], t[3], t[4], t[5] = x, y, x * x, x * y, y * y
-            for k in range(N_TERMS):
-                right[k] += t[k] * off[i, j]
-                for m in range(k + 1):
-                    normal[k, m] += t[k] * t[m]
-    for k in range(N_TERMS):
-        for m in range(k):
-            normal[m, k] = normal[k, m]
-    return normal, right, n
-
-
-@njit(nogil=True, cache=True)
-def unbend(points: F32, off: F32, parabola: F64, max_bend: float) -> None:
-    """Subtract a parabola (6,), clipped to ± `max_bend` [1/m], from the misfits (h, w) of points (h, w, 3)."""
-    p = parabola
-    for i in range(points.shape[0]):
-        for j in range(points.shape[1]):
-            z = points[i, j, 2]
-            if z > 0.0:
-                x, y = points[i, j, 0] / z, points[i, j, 1] / z
-                bend = p[0] + x * (p[1] + p[3] * x + p[4] * y) + y * (p[2] + p[5] * y)
-                off[i, j] -= min(max(bend, -max_bend), max_bend)
-
-
-@njit(nogil=True, cache=True)
-def area_moments(points: F32, chosen: Bool, steepness: float) -> F64:
-    """Return the area of a plane's samples, and its first and second moments.
-
-    Args:
-        points: Points (h, w, 3) [m].
-        chosen: The plane's samples (h, w).
-        steepness: Length of the plane's (a, b, c): z³ times it is the area of a unit of the plane z = 1.
 
     Returns:
-        Σw, Σwx, Σwy, Σwz, Σwxx, Σwxy, Σwxz, Σwyy, Σwyz, Σwzz (10,) with w the area of a sample in rays.
+        Left side (6, 6) and, in the column after it, the right side (6, 7).
     """
-    s = np.zeros(10)
-    for i in range(points.shape[0]):
-        for j in range(points.shape[1]):
-            if chosen[i, j]:
-                x, y, z = np.float64(points[i, j, 0]), np.float64(points[i, j, 1]), np.float64(points[i, j, 2])
+    sums, block = np.zeros((N_TERMS, N_TERMS + 1)), np.ones((BLOCK, N_TERMS + 1))
+    n, held = 0, 0
+    for i in range(len(off)):
+        if abs(off[i]) <= limit:
+            x, y = layers[3, i], layers[4, i]
+            t = block[held]
+            t[1], t[2], t[3], t[4], t[5], t[6] = x, y, x * x, x * y, y * y, off[i]
+            held += 1
+        if held == BLOCK or i == len(off) - 1:
+            add_products(block[:held], sums)
+            n, held = n + held, 0
+    return sums, n
+
+
+@njit(nogil=True, cache=True)
+def add_products(block: F64, sums: F64) -> None:
+    """Add the products of each of the first six columns of a block (B, 7) with all columns to the sums (6, 7)."""
+    for k in range(N_TERMS):
+        s0, s1, s2, s3, s4, s5, s6 = sums[k]
+        for i in range(len(block)):
+            t = block[i, k]
+            s0, s1, s2, s3 = s0 + t * block[i, 0], s1 + t * block[i, 1], s2 + t * block[i, 2], s3 + t * block[i, 3]
+            s4, s5, s6 = s4 + t * block[i, 4], s5 + t * block[i, 5], s6 + t * block[i, 6]
+        sums[k, 0], sums[k, 1], sums[k, 2], sums[k, 3] = s0, s1, s2, s3
+        sums[k, 4], sums[k, 5], sums[k, 6] = s4, s5, s6
+
+
+@njit(nogil=True, cache=True)
+def unbend(layers: F32, off: F32, parabola: F64, max_bend: float) -> None:
+    """Subtract a parabola (6,), clipped to ± `max_bend` [1/m], from the misfits (N,) of samples (5, N)."""
+    p0, p1, p2, p3, p4, p5 = parabola
+    for i in range(len(off)):
+        x, y = layers[3, i], layers[4, i]
+        bend = p0 + x * (p1 + p3 * x + p4 * y) + y * (p2 + p5 * y)
+        off[i] -= min(max(bend, -max_bend), max_bend)
+
+
+NEAR, MOSTLY = 1, 2
+"""Bits: a sample lies on the plane, and so do most around it."""
+
+
+@njit(nogil=True, cache=True)
+def mark_near(off: F32, tolerance: float) -> U8:
+    """Return `NEAR` for the samples with misfits (N,) up to a tolerance [1/m], 0 for others."""
+    near = np.empty(len(off), dtype=np.uint8)
+    for i in range(len(off)):
+        near[i] = abs(off[i]) <= tolerance
+    return near
+
+
+@njit(nogil=True, cache=True)
+def mark_mostly(near: U8, n_near: U16, n_known: U16, min_share: float, at_least: int) -> U8:
+    """Add `MOSTLY` to `near` (N,) by what a window around each sample holds; return where both bits are set."""
+    core = np.empty(len(near), dtype=np.uint8)
+    for i in range(len(near)):
+        mostly = (np.float32(n_near[i]) >= min_share * np.float32(n_known[i])) & (n_near[i] >= at_least)
+        core[i] = near[i] & np.uint8(mostly)
+        near[i] |= np.uint8(mostly) << 1
+    return core
+
+
+@njit(nogil=True, cache=True)
+def mark_on(near: U8, around: U8, off: F32, tolerance: float, plane_of: I16) -> U8:
+    """Return 1 for the samples (N,) around the core of a plane that lie on it and on no plane yet, else 0.
+
+    Args:
+        near: Their bits.
+        around: Where the core is close.
+        off: Their misfits [1/m].
+        tolerance: Largest misfit where most around lie on the plane [1/m].
+        plane_of: The planes found before; negative where there is none.
+    """
+    on_plane = np.empty(len(near), dtype=np.uint8)
+    for i in range(len(near)):
+        outlier = (near[i] >> 1) & np.uint8(abs(off[i]) <= tolerance)
+        on_plane[i] = (near[i] | outlier) & around[i] & np.uint8(plane_of[i] < 0) & np.uint8(NEAR)
+    return on_plane
+
+
+@njit(nogil=True, cache=True)
+def share_beyond(off: F32, max_off: float) -> float:
+    """Return the share of samples with misfits (N,) that lie behind a plane by more than `max_off`, or are unknown."""
+    n = 0
+    for i in range(len(off)):
+        n += (off[i] < -max_off) | (off[i] == np.inf)
+    return n / len(off)
+
+
+@njit(nogil=True, cache=True)
+def extent(layers: F32, part_of: I32, part: int, window: tuple[int, int, int, int], steepness: float) -> tuple[float, float]:
+    """Return the area of a part of a plane [m² for a ray area of 1], and the smaller of its two widths [m].
+
+    Args:
+        layers: Samples (5, N) [m].
+        part_of: Part of each sample (h, w).
+        part: Which one.
+        window: First column and row, and number of columns and rows, that hold it.
+        steepness: Length of the plane's (a, b, c): z³ times it is the area of a unit of the plane z = 1.
+    """
+    X, Y, Z = layers[0], layers[1], layers[2]
+    x0, y0, columns, rows = window
+    s, sx, sy, sz, xx, xy, xz, yy, yz, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(y0, y0 + rows):
+        for j in range(x0, x0 + columns):
+            if part_of[i, j] == part:
+                at = i * part_of.shape[1] + j
+                x, y, z = np.float64(X[at]), np.float64(Y[at]), np.float64(Z[at])
                 w = z * z * z * steepness
-                s[0] += w
-                s[1] += w * x
-                s[2] += w * y
-                s[3] += w * z
-                s[4] += w * x * x
-                s[5] += w * x * y
-                s[6] += w * x * z
-                s[7] += w * y * y
-                s[8] += w * y * z
-                s[9] += w * z * z
-    return s
+                wx, wy, wz = w * x, w * y, w * z
+                s, sx, sy, sz = s + w, sx + wx, sy + wy, sz + wz
+                xx, xy, xz, yy, yz, zz = xx + wx * x, xy + wx * y, xz + wx * z, yy + wy * y, yz + wy * z, zz + wz * z
+    if s <= 0.0:
+        return 0.0, 0.0
+    sx, sy, sz = sx / s, sy / s, sz / s
+    xx, xy, xz = xx / s - sx * sx, xy / s - sx * sy, xz / s - sx * sz
+    yy, yz, zz = yy / s - sy * sy, yz / s - sy * sz, zz / s - sz * sz
+    # A strip of width w has the variance w² / 12 across.
+    return s, math.sqrt(12.0 * max(middle_eigenvalue(xx, xy, xz, yy, yz, zz), 0.0))
+
+
+@njit(nogil=True, cache=True)
+def middle_eigenvalue(xx: float, xy: float, xz: float, yy: float, yz: float, zz: float) -> float:
+    """Return the second of the three eigenvalues of a symmetric matrix, by the roots of its cubic."""
+    mean = (xx + yy + zz) / 3.0
+    a, b, c = xx - mean, yy - mean, zz - mean
+    spread = math.sqrt((a * a + b * b + c * c + 2.0 * (xy * xy + xz * xz + yz * yz)) / 6.0)
+    if spread <= 0.0:
+        return mean
+    determinant = a * (b * c - yz * yz) - xy * (xy * c - yz * xz) + xz * (xy * yz - b * xz)
+    third = math.acos(min(max(0.5 * determinant / spread**3, -1.0), 1.0)) / 3.0
+    largest, smallest = math.cos(third), math.cos(third + 2.0 * math.pi / 3.0)
+    return mean - 2.0 * spread * (largest + smallest)
+
+
+# Cells of samples, and regions of cells.
 
 
 @njit(nogil=True, cache=True)
@@ -129,24 +217,19 @@ def cell_sums(points: F32, cell: int) -> F64:
     """
     rows, columns = points.shape[0] // cell, points.shape[1] // cell
     sums = np.zeros((rows, columns, N_SUMS))
-    for i in range(rows * cell):
-        for j in range(columns * cell):
-            z = points[i, j, 2]
-            if z <= 0.0:
-                continue
-            q = 1.0 / z
-            x, y = points[i, j, 0] * q, points[i, j, 1] * q
-            s = sums[i // cell, j // cell]
-            s[0] += 1.0
-            s[1] += x
-            s[2] += y
-            s[3] += x * x
-            s[4] += x * y
-            s[5] += y * y
-            s[6] += q
-            s[7] += x * q
-            s[8] += y * q
-            s[9] += q * q
+    for i in range(rows):
+        for j in range(columns):
+            n, sx, sy, xx, xy, yy, sq, xq, yq, qq = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            for r in range(i * cell, (i + 1) * cell):
+                for c in range(j * cell, (j + 1) * cell):
+                    z = points[r, c, 2]
+                    if z > 0.0:
+                        q = 1.0 / z
+                        x, y = points[r, c, 0] * q, points[r, c, 1] * q
+                        n, sx, sy, sq = n + 1.0, sx + x, sy + y, sq + q
+                        xx, xy, yy, xq, yq, qq = xx + x * x, xy + x * y, yy + y * y, xq + x * q, yq + y * q, qq + q * q
+            s = sums[i, j]
+            s[0], s[1], s[2], s[3], s[4], s[5], s[6], s[7], s[8], s[9] = n, sx, sy, xx, xy, yy, sq, xq, yq, qq
     return sums
 
 
@@ -233,3 +316,38 @@ def grow_regions(sums: F64, misfits: F64, seeds: I32, max_misfit: float) -> tupl
                 tail += 1
         n_regions += 1
     return region_of, totals[:n_regions]
+
+
+@njit(nogil=True, cache=True)
+def merge_regions(totals: F64, min_samples: float, max_misfit: float) -> tuple[F64, F64, F64]:
+    """Merge regions that lie on one plane, the largest first.
+
+    Args:
+        totals: Sums of the regions (R, 10).
+        min_samples: Smaller regions are left out; a few cells determine a plane badly.
+        max_misfit: Largest misfit of either of two to the plane of both [1/m].
+
+    Returns:
+        Of M planes: a, b, c (M, 3), the number of samples (M,), and their mean depth [m] as that of the inverse (M,).
+    """
+    merged, slopes = np.zeros_like(totals), np.zeros((len(totals), 3))
+    both, plane = np.zeros(N_SUMS), np.zeros(3)
+    n = 0
+    for r in np.argsort(-totals[:, 0], kind="mergesort"):
+        if totals[r, 0] < min_samples:
+            break
+        i, is_found = 0, False
+        while i < n and not is_found:
+            both[:] = merged[i] + totals[r]
+            plane[:] = 0.0
+            fit(both, plane)
+            is_found = misfit(merged[i], plane) <= max_misfit and misfit(totals[r], plane) <= max_misfit
+            i += not is_found
+        if is_found:
+            merged[i] = both
+        else:
+            merged[n] = totals[r]
+            n += 1
+    for i in range(n):
+        fit(merged[i], slopes[i])
+    return slopes[:n], merged[:n, 0], merged[:n, 0] / merged[:n, 6]

@@ -7,18 +7,22 @@ import cv2
 import numpy as np
 
 from stillroom.bounds import bounded
-from stillroom.geometry.arrays import F32, F64, I16, I32, U16, Bool
+from stillroom.geometry.arrays import F32, F64, I16, I32, U8, U16
 from stillroom.geometry.cloud.continuation import Reach, continue_planes, give_samples, planes_of_cells
 from stillroom.geometry.cloud.plane_fit import (
     N_TERMS,
-    area_moments,
     cell_misfits,
     cell_sums,
-    fit,
+    extent,
     grow_regions,
-    misfit,
+    layers_of,
+    mark_mostly,
+    mark_near,
+    mark_on,
+    merge_regions,
     parabola_sums,
     plane_misfits,
+    share_beyond,
     unbend,
 )
 
@@ -91,18 +95,20 @@ def find_planes(points_m: F32, ray_area: float, limits: PlaneLimits) -> Planes:
         ray_area: Area of one sample's pixel on the plane z = 1.
         limits: What counts as a plane.
     """
-    known = points_m[..., 2] > 0
-    n_known = _count(known, (limits.window, limits.window))
-    plane_of = np.full(known.shape, NO_PLANE, dtype=np.int16)
+    shape, size = points_m.shape[:2], (limits.window, limits.window)
+    layers = layers_of(points_m.reshape(-1, 3))
+    n_known = _count((layers[2] > 0).view(np.uint8), shape, size)
+    plane_of = np.full(shape, NO_PLANE, dtype=np.int16)
     kept: list[tuple[F64, float]] = []
     sums = cell_sums(points_m, limits.cell)
     misfits = cell_misfits(sums, max(4, (3 * limits.cell * limits.cell) // 5))
     for slope in _candidates(sums, misfits, ray_area, limits):
-        off = _misfits(points_m, slope, limits)
-        on_plane = _samples_on(off, n_known, limits) & (plane_of == NO_PLANE)
-        if _is_large(points_m, off, on_plane, slope, ray_area, limits):
-            plane_of[on_plane] = len(kept)
-            kept.append((slope, _extent(points_m, on_plane, slope, ray_area)[0]))
+        off = _misfits(layers, slope, limits)
+        on_plane = _samples_on(off, n_known, plane_of, limits)
+        area_m2 = _area_if_large(layers, off, on_plane, slope, ray_area, limits)
+        if area_m2 is not None:
+            np.putmask(plane_of, on_plane, len(kept))
+            kept.append((slope, area_m2))
     if kept:
         slopes = np.array([slope for slope, _ in kept])
         of_cell = planes_of_cells(points_m, plane_of, limits.cell, len(kept))
@@ -114,112 +120,89 @@ def find_planes(points_m: F32, ray_area: float, limits: PlaneLimits) -> Planes:
 
 def _candidates(sums: F64, misfits: F64, ray_area: float, limits: PlaneLimits) -> list[F64]:
     """Return a, b, c of the regions of cells that may be planes, merged, largest first."""
-    seeds = np.argsort(misfits, axis=None, kind="stable")[: int(np.isfinite(misfits).sum())].astype(np.int32)
+    flat = np.flatnonzero(misfits <= limits.max_misfit).astype(np.int32)
+    seeds = flat[np.argsort(misfits.ravel()[flat], kind="stable")]
     _, totals = grow_regions(sums, misfits, seeds, limits.max_misfit)
-    # A few cells determine a plane badly.
-    totals = totals[totals[:, 0] >= MIN_CELLS * limits.cell * limits.cell]
-    merged: list[F64] = []
-    for total in totals[np.argsort(-totals[:, 0], kind="stable")]:
-        for i, other in enumerate(merged):
-            if _is_one_plane(other, total, MERGE * limits.max_misfit):
-                merged[i] = other + total
-                break
-        else:
-            merged.append(total)
-    slopes = []
-    for total in sorted(merged, key=lambda total: -float(total[0])):
-        slope = _plane(total)
-        # About the area of the cells: z³ · |a, b, c| is that of a unit of the plane z = 1.
-        area_m2 = total[0] * ray_area * float(np.linalg.norm(slope)) * (total[0] / total[6]) ** 3
-        if area_m2 >= GROWN_SHARE * limits.min_area_m2:
-            slopes.append(slope)
-    return slopes
+    min_samples = MIN_CELLS * limits.cell * limits.cell
+    slopes, n, z_m = merge_regions(totals, min_samples, MERGE * limits.max_misfit)
+    # About the area of the cells: z³ · |a, b, c| is that of a unit of the plane z = 1.
+    area_m2 = n * ray_area * np.linalg.norm(slopes, axis=1) * z_m**3
+    order = np.argsort(-n, kind="stable")
+    return list(slopes[order[area_m2[order] >= GROWN_SHARE * limits.min_area_m2]])
 
 
-def _is_one_plane(first: F64, second: F64, max_misfit: float) -> bool:
-    plane = _plane(first + second)
-    return bool(misfit(first, plane) <= max_misfit and misfit(second, plane) <= max_misfit)
-
-
-def _plane(sums: F64) -> F64:
-    plane = np.zeros(3)
-    fit(sums, plane)
-    return plane
-
-
-def _samples_on(off: F32, n_known: U16, limits: PlaneLimits) -> Bool:
-    """Return which samples (h, w), with these misfits [1/m], lie on a plane together with what is around them.
+def _samples_on(off: F32, n_known: U16, plane_of: I16, limits: PlaneLimits) -> U8:
+    """Return which samples (h, w) lie on a plane together with what is around them, 1 or 0.
 
     A surface that crosses the plane is near it in a narrow strip only, which a window over the strip tells.
+
+    Args:
+        off: Their misfits (h·w,) [1/m].
+        n_known: How many around each are known (h·w,).
+        plane_of: Planes found before (h, w); these samples are not given away again.
+        limits: What counts as a plane.
     """
-    size = (limits.window, limits.window)
-    off = np.abs(off)
-    near = off <= np.float32(limits.tolerance)
-    n_near = _count(near, size)
-    mostly = (n_near >= np.float32(limits.min_share) * n_known) & (2 * n_near > limits.window)
-    around = cv2.dilate((near & mostly).view(np.uint8), np.ones(size, np.uint8)) > 0
-    outlier = mostly & (off <= np.float32(2.0 * limits.tolerance))
-    return np.asarray(around & (near | outlier), dtype=np.bool_)
+    size, shape = (limits.window, limits.window), plane_of.shape
+    near = mark_near(off, np.float32(limits.tolerance))
+    n_near = _count(near, shape, size)
+    core = mark_mostly(near, n_near, n_known, np.float32(limits.min_share), limits.window // 2 + 1)
+    around = cv2.dilate(core.reshape(shape), np.ones(size, np.uint8)).ravel()
+    on_plane = mark_on(near, around, off, np.float32(2.0 * limits.tolerance), plane_of.ravel())
+    return np.asarray(on_plane.reshape(shape), dtype=np.uint8)
 
 
-def _misfits(points_m: F32, slope: F64, limits: PlaneLimits) -> F32:
-    """Return the misfits (h, w) [1/m] of samples to a plane, less what a wide parabola explains of the small ones.
+def _misfits(layers: F32, slope: F64, limits: PlaneLimits) -> F32:
+    """Return the misfits (h·w,) [1/m] of samples to a plane, less what a wide parabola explains of the small ones.
 
     A depth camera distorts walls, most towards the corners of the image; no person is flat enough to be affected.
     """
-    off = plane_misfits(points_m, slope)
-    normal, right, n = parabola_sums(points_m, off, limits.tolerance + limits.max_bend)
+    off = plane_misfits(layers, slope)
+    sums, n = parabola_sums(layers, off, limits.tolerance + limits.max_bend)
     if n >= MIN_BEND_SAMPLES:
         # The ridge keeps the parabola flat where the samples do not determine it.
-        unbend(points_m, off, np.linalg.solve(normal + RIDGE * np.eye(N_TERMS), right), limits.max_bend)
+        parabola = np.linalg.solve(sums[:, :N_TERMS] + RIDGE * np.eye(N_TERMS), sums[:, N_TERMS])
+        unbend(layers, off, parabola, limits.max_bend)
     return np.asarray(off, dtype=np.float32)
 
 
-def _count(mask: Bool, size: tuple[int, int]) -> U16:
-    """Return how many of the samples in a window around each are set (h, w)."""
-    counts = cv2.boxFilter(mask.view(np.uint8), cv2.CV_16U, size, normalize=False, borderType=cv2.BORDER_CONSTANT)
-    return np.asarray(counts, dtype=np.uint16)
+def _count(mask: U8, shape: tuple[int, int], size: tuple[int, int]) -> U16:
+    """Return how many of the samples (h·w,) in a window around each are 1 (h·w,)."""
+    image = mask.reshape(shape)
+    counts = cv2.boxFilter(image, cv2.CV_16U, size, normalize=False, borderType=cv2.BORDER_CONSTANT)
+    return np.asarray(counts.ravel(), dtype=np.uint16)
 
 
-def _is_large(points_m: F32, off: F32, on_plane: Bool, slope: F64, ray_area: float, limits: PlaneLimits) -> bool:
-    """Return whether a plane's samples (h, w) are large enough, in one piece or, of floor and walls, in several.
+def _area_if_large(
+    layers: F32, off: F32, on_plane: U8, slope: F64, ray_area: float, limits: PlaneLimits
+) -> float | None:
+    """Return the area [m²] of a plane's samples (h, w) if they are large enough, in one piece or, of floor and walls, in several.
 
     The backs of two people who walk abreast lie on one plane, but not in one piece, and the room is seen behind them.
     Behind floor and walls nothing is seen, and people may leave only pieces of them visible.
 
     Args:
-        points_m: Points (h, w, 3) [m].
-        off: Misfits of the samples to the plane (h, w) [1/m]; infinite where unknown.
+        layers: Samples (5, h·w) [m].
+        off: Misfits of the samples to the plane (h·w,) [1/m]; infinite where unknown.
         on_plane: Samples on it (h, w).
         slope: Its a, b, c.
         ray_area: Area of one sample's pixel on the plane z = 1.
         limits: What is large enough.
     """
-    area_m2, width_m = _extent(points_m, on_plane, slope, ray_area)
-    if area_m2 < limits.min_area_m2 or width_m < limits.min_width_m:
-        return False
+    rows, columns = on_plane.shape
+    steepness = float(np.linalg.norm(slope))
+    area, width_m = extent(layers, on_plane, 1, (0, 0, columns, rows), steepness)
+    if area * ray_area < limits.min_area_m2 or width_m < limits.min_width_m:
+        return None
     # Unknown depth may or may not be behind the plane.
-    beyond = float(np.mean((off < -limits.max_off) | np.isinf(off)))
+    beyond = share_beyond(off, np.float32(limits.max_off))
     least_m2 = limits.min_area_m2 if beyond > limits.max_beyond else limits.min_piece_m2
     least_width_m = limits.min_width_m * math.sqrt(least_m2 / limits.min_area_m2)
-    _, piece_of, boxes, _ = cv2.connectedComponentsWithStats(on_plane.view(np.uint8), connectivity=8)
-    for piece in np.argsort(-boxes[1:, cv2.CC_STAT_AREA], kind="stable")[:N_PIECES] + 1:
-        area_m2, width_m = _extent(points_m, piece_of == piece, slope, ray_area)
-        if area_m2 >= least_m2 and width_m >= least_width_m:
-            return True
-    return False
-
-
-def _extent(points_m: F32, on_plane: Bool, slope: F64, ray_area: float) -> tuple[float, float]:
-    """Return the area [m²] and the smaller width [m] of the samples (h, w) of a plane with a, b, c."""
-    s = area_moments(points_m, on_plane, float(np.linalg.norm(slope)))
-    if s[0] <= 0.0:
-        return 0.0, 0.0
-    mean = s[1:4] / s[0]
-    second = np.array([[s[4], s[5], s[6]], [s[5], s[7], s[8]], [s[6], s[8], s[9]]]) / s[0]
-    spread = np.linalg.eigvalsh(second - np.outer(mean, mean))
-    # A strip of width w has the variance w² / 12 across.
-    return float(s[0]) * ray_area, float(np.sqrt(12.0 * max(spread[1], 0.0)))
+    _, piece_of, boxes, _ = cv2.connectedComponentsWithStats(on_plane, connectivity=8, ltype=cv2.CV_16U)
+    for piece in (np.argsort(-boxes[1:, cv2.CC_STAT_AREA], kind="stable")[:N_PIECES] + 1).tolist():
+        of_piece, width_m = extent(layers, piece_of, piece, tuple(boxes[piece, :4].tolist()), steepness)
+        if of_piece * ray_area >= least_m2 and width_m >= least_width_m:
+            return area * ray_area
+    return None
 
 
 def _sorted(kept: list[tuple[F64, float]], plane_of: I16) -> Planes:
@@ -231,4 +214,4 @@ def _sorted(kept: list[tuple[F64, float]], plane_of: I16) -> Planes:
     # (a, b, c)·p = 1; turned round, the origin is on the positive side.
     coefficients = np.hstack((-slopes, np.ones_like(norm))) / norm
     rank = np.append(np.argsort(order), NO_PLANE).astype(np.int16)
-    return Planes(coefficients[order].astype(np.float32), area_m2[order], rank[plane_of])
+    return Planes(coefficients[order].astype(np.float32), area_m2[order], rank.take(plane_of, mode="wrap"))

@@ -6,10 +6,12 @@ from typing import NamedTuple
 import numpy as np
 
 from stillroom.bounds import bounded, check
+from stillroom.compiled import njit
 from stillroom.data.clusters import Clusters
-from stillroom.data.frame import Frame
+from stillroom.data.frame import Frame, Keypoints
 from stillroom.data.motion import Motion, Stage
 from stillroom.data.question import Question
+from stillroom.data.semantics import Semantics
 from stillroom.dynamics.asking import ImageMemory
 from stillroom.dynamics.cluster_evidence import MOVES, STAYS, Belief, MovingPixels, Sampler
 from stillroom.dynamics.depth_history import STRIDE, SmallView, ask
@@ -95,15 +97,16 @@ class MovedSegments:
         self._belief = Belief(config.fades_in_s, config.reach_m)
         self._pixels = MovingPixels(config.margin_px)
         self._finding: ImageMemory[_Finding] = ImageMemory(*NEAR)
+        self._said: tuple[Keypoints, Semantics, _Finding | None, Motion] | None = None
 
     def judge(self, question: Question) -> Motion:
         """Classify as dynamic what is potentially dynamic, and every segment that is found to move."""
-        moving, clusters = question.known.movable, question.known.clusters
-        finding = None if clusters is None else self._find(question, clusters)
-        if finding is not None:
-            said = np.where(finding.belief > 0, MOVES, STAYS).astype(np.uint8)
-            moving = moving | self._pixels.marked(finding.clusters, said, moving)
-        return Motion(~values_at(moving, question.frame.keypoints.raw_px), moving)
+        keypoints, known = question.frame.keypoints, question.known
+        finding = None if known.clusters is None else self._find(question, known.clusters)
+        said = self._said
+        if said is None or said[0] is not keypoints or said[1] is not known or said[2] is not finding:
+            self._said = said = keypoints, known, finding, self._verdict(keypoints, known, finding)
+        return said[3]
 
     def remember(self, frame: Frame, T_cam_world: F64, keyframe: int) -> None:
         """Store the image and the log-odds of its segments."""
@@ -117,6 +120,14 @@ class MovedSegments:
         self._past.follow(T_new_old)
         self._belief.follow(T_new_old)
         self._finding.forget()
+
+    def _verdict(self, keypoints: Keypoints, known: Semantics, finding: _Finding | None) -> Motion:
+        """Combine the masks and what segments move."""
+        moving = known.movable
+        if finding is not None and np.any(finding.belief > 0):
+            said = np.where(finding.belief > 0, MOVES, STAYS).astype(np.uint8)
+            moving = moving | self._pixels.marked(finding.clusters, said, moving)
+        return Motion(~values_at(moving, keypoints.raw_px), moving)
 
     def _find(self, question: Question, clusters: Clusters) -> _Finding | None:
         """Return the result for a frame, cached for nearly the same pose; None at a predicted pose."""
@@ -151,22 +162,25 @@ class MovedSegments:
         verdict = test(np.arange(len(points.segment), dtype=np.int64))
         n = len(clusters)
         moving = np.bincount(points.segment[verdict == DYNAMIC], minlength=n)
-        still = (verdict == STATIC) + config.plain * (
-            (verdict == UNKNOWN) & self._was_there(points, frame, earlier, T_cam_world)
-        )
+        unknown = np.flatnonzero(verdict == UNKNOWN)
+        still = (verdict == STATIC).astype(np.float64)
+        still[unknown[self._was_there(points, unknown, frame, earlier, T_cam_world)]] = config.plain
         judged = moving + np.bincount(points.segment, still, minlength=n)
         share = moving / np.maximum(judged, 1)
         # From −1 where no point moves, over 0 where as many do as are asked for, to 1 where all do.
         vote = np.where(share > config.share, (share - config.share) / (1.0 - config.share), share / config.share - 1.0)
         return np.where(judged >= config.min_points, vote, 0.0)
 
-    def _was_there(self, points: "_SegmentPoints", frame: Frame, earlier: EarlierImage, T_cam_world: F64) -> Bool:
-        """Return for points (P,) whether the earlier image has a surface where they are now."""
+    def _was_there(
+        self, points: "_SegmentPoints", asked: I64, frame: Frame, earlier: EarlierImage, T_cam_world: F64
+    ) -> Bool:
+        """Return for points `asked` (M,) whether the earlier image has a surface where they are now."""
         camera, config = frame.camera, self.config
-        agrees, empty = np.zeros((2, len(points.segment)), dtype=np.int64)
-        points_world_m = se3.transform(se3.inverse(T_cam_world), camera.back_project(points.px, points.depth_m))
+        agrees, empty = np.zeros((2, len(asked)), dtype=np.int64)
+        points_cam_m = camera.back_project(points.px[asked], points.depth_m[asked])
         small_m = np.ascontiguousarray(earlier.view.depth_m[::STRIDE, ::STRIDE])
         view = SmallView(small_m, earlier.T_cam_world, camera.lens)
+        points_world_m = se3.transform(se3.inverse(T_cam_world), points_cam_m)
         ask(view, points_world_m, config.tolerance_m, config.tolerance_share, agrees, empty)
         return np.asarray(agrees > 0)
 
@@ -197,9 +211,16 @@ class _SegmentPoints(NamedTuple):
 
 def spread(group: I64, most: int) -> I64:
     """Return up to `most` of each group's members (N,), evenly over their order, in rising order."""
-    order = np.argsort(group, kind="stable")
-    counts = np.bincount(group)
-    first = np.cumsum(counts) - counts
-    rank = np.arange(len(group)) - first[group[order]]
-    step = -(-counts[group[order]] // most)
-    return np.sort(order[rank % np.maximum(step, 1) == 0])
+    chosen = np.zeros(len(group), dtype=np.bool_)
+    mark_spread(group, np.bincount(group), most, chosen)
+    return np.flatnonzero(chosen)
+
+
+@njit(nogil=True, cache=True)
+def mark_spread(group: I64, counts: I64, most: int, chosen: Bool) -> None:
+    """Mark every so many members of each group (N,), whose sizes are given (K,), that at most `most` are marked."""
+    rank = np.zeros(len(counts), dtype=np.int64)
+    for i in range(len(group)):
+        g = group[i]
+        chosen[i] = rank[g] % max(1, -(-counts[g] // most)) == 0
+        rank[g] += 1

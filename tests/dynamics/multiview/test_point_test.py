@@ -216,7 +216,7 @@ def test_regions_grow_as_a_plain_search_grows_them(growth: Growth) -> None:
         np.zeros((0, 1, 1, 3), np.float32), np.zeros((0, 4, 4)), np.zeros((0, 4, 4)), np.zeros((0, 2, 3))
     )
     region = np.zeros(depth_m.shape, np.uint8)
-    grow(seeds, here, there, growth, LIMITS, np.empty((depth_m.size, 2), np.int32), region)
+    grow(seeds, here, there, growth, LIMITS, region)
     expected = plain_regions(depth_m, seeds, growth)
     assert 300 < expected.sum() < 0.9 * expected.size
     np.testing.assert_array_equal(region.view(np.bool_), expected)
@@ -233,12 +233,12 @@ def test_regions_stop_at_what_keyframes_saw_there() -> None:
     region = np.zeros(depth_m.shape, np.uint8)
     seeds = np.array([[160, 20]], np.int32)
     growth = Growth(0.2, 0.0, 0.1, 0.0, 1, 0.0)
-    grow(seeds, here, there, growth, LIMITS, np.empty((depth_m.size, 2), np.int32), region)
+    grow(seeds, here, there, growth, LIMITS, region)
     assert region[:176].all()
     assert not region[182:].any()
     # Seeds on the floor grow nothing.
     region[:] = 0
-    grow(seeds + np.int32([0, 200]), here, there, growth, LIMITS, np.empty((depth_m.size, 2), np.int32), region)
+    grow(seeds + np.int32([0, 200]), here, there, growth, LIMITS, region)
     assert not region.any()
 
 

@@ -233,9 +233,20 @@ def density_nodes(points_px: F64, cell_px: int, min_points: int, shift_px: F64) 
 
 def serpentine(cells: I64) -> I64:
     """Return the order (n,) that visits cells (n, 2), column and row, row by row, every other row backwards."""
-    row_rank = np.unique(cells[:, 1], return_inverse=True)[1].ravel()
-    along = np.where(row_rank % 2 == 0, cells[:, 0], -cells[:, 0])
-    return np.lexsort((along, row_rank)).astype(np.int64)
+    order = np.argsort(cells[:, 0] + GRID * cells[:, 1], kind="stable")
+    turn_back(cells[order, 1], order)
+    return order
+
+
+@njit(nogil=True, cache=True)
+def turn_back(row: I64, order: I64) -> None:
+    """Reverse every other row of an order (n,) of cells, whose rows (n,) rise."""
+    start, is_back = 0, False
+    for end in range(1, len(order) + 1):
+        if end == len(order) or row[end] != row[start]:
+            if is_back:
+                order[start:end] = order[start:end][::-1].copy()
+            start, is_back = end, not is_back
 
 
 @njit(nogil=True, cache=True)

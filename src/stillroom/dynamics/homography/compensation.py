@@ -4,11 +4,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from stillroom.compiled import njit
 from stillroom.data.frame import Frame
 from stillroom.features.optical_flow import OpticalFlow
 from stillroom.geometry import homography, se3
-from stillroom.geometry.arrays import F64, I64, U8, Bool
-from stillroom.geometry.camera import Camera
+from stillroom.geometry.arrays import F32, F64, I64, U8, Bool, Floats
+from stillroom.geometry.camera import Camera, Lens
+from stillroom.geometry.distortion import distorted
 from stillroom.geometry.homography import HomographyFit
 from stillroom.optimize.pose import PoseOptimizerConfig
 
@@ -81,7 +83,7 @@ class Compensation:
             T_then_now_guess: Where to look first (4, 4).
         """
         config, camera, kp = self.config, frame.camera, frame.keypoints
-        probes = choose_probes(kp.raw_px.astype(np.float64), kp.depth_m > 0, ~may_move, config.n_probes)
+        probes = choose_probes(kp.raw_px, kp.depth_m > 0, ~may_move, config.n_probes)
         if len(probes) < config.min_inliers:
             return None
         followed, then_raw_px = _follow(frame, probes, now_half, then_half, T_then_now_guess)
@@ -117,30 +119,82 @@ class Compensation:
         return se3.orthonormalize(estimate.T_cam_world) if enough else None
 
 
-def choose_probes(raw_px: F64, has_depth: Bool, usable: Bool, n: int) -> I64:
+def choose_probes(raw_px: Floats, has_depth: Bool, usable: Bool, n: int) -> I64:
     """Return up to n of the usable points (N, 2), spread over the image, those with depth first, in rising order."""
-    candidates = np.flatnonzero(usable)
-    cell = (raw_px[candidates] // _CELL_PX).astype(np.int64)
-    cell_id = cell[:, 0] + 1000 * cell[:, 1]
-    order = np.lexsort((~has_depth[candidates], cell_id))
-    sorted_id = cell_id[order]
-    first = np.searchsorted(sorted_id, sorted_id)
-    rank = np.arange(len(order)) - first  # rank of each within its cell
-    chosen = order[np.argsort(rank, kind="stable")[:n]]
-    return np.sort(candidates[chosen])
+    chosen = np.zeros(len(raw_px), dtype=np.bool_)
+    if len(raw_px) > 0:
+        columns, rows = (raw_px.max(axis=0) // _CELL_PX).astype(np.int64) + 1
+        choose_by_cells(raw_px, has_depth, usable, (int(rows), int(columns)), n, chosen)
+    return np.flatnonzero(chosen)
+
+
+@njit(nogil=True, cache=True)
+def choose_by_cells(
+    raw_px: Floats, has_depth: Bool, usable: Bool, shape: tuple[int, int], n: int, chosen: Bool
+) -> None:
+    """Mark up to n of the usable points (N, 2) in `chosen` (N,): the first of each cell, then the second of each, ….
+
+    In a cell those with depth come first; of the last round, the cells that come first in the image.
+    """
+    cell, rank = np.empty(len(raw_px), dtype=np.int64), np.full(len(raw_px), -1, dtype=np.int64)
+    size = np.zeros(shape[0] * shape[1], dtype=np.int64)
+    for deep in (True, False):
+        for i in range(len(raw_px)):
+            if usable[i] and has_depth[i] == deep:
+                cell[i] = int(raw_px[i, 1] / _CELL_PX) * shape[1] + int(raw_px[i, 0] / _CELL_PX)
+                rank[i] = size[cell[i]]
+                size[cell[i]] += 1
+    # The last round is the one in which n is exceeded, and in it cells up to some one have a turn.
+    left, last = n, 0
+    while left > 0 and last < size.max():
+        in_round = np.count_nonzero(size > last)
+        if in_round > left:
+            break
+        left -= in_round
+        last += 1
+    has_turn = np.zeros(len(size), dtype=np.bool_)
+    for c in range(len(size)):
+        if left > 0 and size[c] > last:
+            has_turn[c] = True
+            left -= 1
+    for i in range(len(raw_px)):
+        chosen[i] = 0 <= rank[i] < last or (rank[i] == last and has_turn[cell[i]])
 
 
 def _follow(frame: Frame, probes: I64, now_half: U8, then_half: U8, T_then_now: F64) -> tuple[Bool, F64]:
     """Find probes (P,) in the earlier image; return which were found (P,) and where, as taken (P, 2) [px]."""
     kp, camera = frame.keypoints, frame.camera
-    depth_m = kp.depth_m[probes].astype(np.float64)
-    depth_m[depth_m <= 0] = np.median(depth_m[depth_m > 0]) if np.any(depth_m > 0) else 2.0
-    points = se3.transform(T_then_now, camera.back_project(kp.px[probes], depth_m))
-    points[:, 2] = np.maximum(points[:, 2], 0.1)
-    guess_px = camera.distort(camera.project(points))
-    now_half_px = (0.5 * kp.raw_px[probes] - 0.25).astype(np.float32)
-    start_px = (0.5 * guess_px - 0.25).astype(np.float32)
+    now_half_px, start_px = np.empty((2, len(probes), 2), dtype=np.float32)
+    depth_m = kp.depth_m[probes]
+    typical_m = float(np.median(depth_m[depth_m > 0])) if np.any(depth_m > 0) else 2.0
+    aim(kp.px[probes], kp.raw_px[probes], depth_m, typical_m, T_then_now, camera.lens, now_half_px, start_px)
     then_half_px, is_found = _FLOW.follow(now_half, then_half, now_half_px, start_px)
     then_raw_px = 2.0 * then_half_px.astype(np.float64) + 0.5
-    inside = np.all((then_raw_px >= 0) & (then_raw_px <= (camera.width - 1, camera.height - 1)), axis=1)
+    x, y = then_raw_px.T
+    inside = (x >= 0) & (y >= 0) & (x <= camera.width - 1) & (y <= camera.height - 1)
     return inside & is_found, then_raw_px
+
+
+@njit(nogil=True, cache=True)
+def aim(
+    px: F32, raw_px: F32, depth_m: F32, typical_m: float, T: F64, lens: Lens, now_half_px: F32, start_px: F32
+) -> None:
+    """Write where points are in an image of half the size, and where an earlier one should show them, (P, 2) [px].
+
+    Args:
+        px, raw_px, depth_m: The points (P, 2), (P, 2) [px], (P,) [m].
+        typical_m: The depth of those without one [m].
+        T: Motion of the camera T_then_now (4, 4).
+        lens: Of both images.
+        now_half_px, start_px: What is written.
+    """
+    for i in range(len(px)):
+        z = float(depth_m[i]) if depth_m[i] > 0.0 else typical_m
+        x, y = (float(px[i, 0]) - lens.cx) / lens.fx * z, (float(px[i, 1]) - lens.cy) / lens.fy * z
+        there = max(T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3], 0.1)
+        u = (T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]) / there
+        v = (T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]) / there
+        u, v = distorted(lens, u, v)
+        start_px[i, 0], start_px[i, 1] = 0.5 * u - 0.25, 0.5 * v - 0.25
+        now_half_px[i, 0] = np.float32(0.5) * raw_px[i, 0] - np.float32(0.25)
+        now_half_px[i, 1] = np.float32(0.5) * raw_px[i, 1] - np.float32(0.25)

@@ -94,6 +94,7 @@ class CompensatedHomographySieve:
         self._asked: Frame | None = None
         self._remembered: RgbdImage | None = None
         self.findings: Findings | None = None
+        self._said: tuple[Semantics, Findings | None, Motion] | None = None
 
     def judge(self, question: Question) -> Motion:
         """Classify by the masks, and outside them by geometry."""
@@ -102,9 +103,11 @@ class CompensatedHomographySieve:
             self._view, self.findings = view_of(frame.image), None
         if self.findings is None or self._asked is None or self._asked.keypoints is not frame.keypoints:
             # A later stage tries again with a better pose, in case the first one gave no result.
-            self.findings = self.examine(frame, known, self._view, question.T_cam_world)
+            self.findings, self._said = self.examine(frame, known, self._view, question.T_cam_world), None
         self._asked = frame
-        return self._verdict(frame, known)
+        if self._said is None or self._said[0] is not known or self._said[1] is not self.findings:
+            self._said = known, self.findings, self._verdict(frame, known)
+        return self._said[2]
 
     def remember(self, frame: Frame, T_cam_world: F64, keyframe: int) -> None:
         """Store an image for the next one; the ants are updated once."""
@@ -165,27 +168,27 @@ class CompensatedHomographySieve:
 
     def _verdict(self, frame: Frame, known: Semantics) -> Motion:
         """Combine the masks and the geometry."""
-        moving = known.movable.copy()
+        moving, findings = known.movable, self.findings
         is_static = ~known.movable_at(frame.keypoints.raw_px)
-        findings = self.findings
         if findings is None:
             return Motion(is_static, moving)
         is_static[findings.candidates[findings.found.is_dynamic]] = False
-        test, found = findings.test, findings.found
-        geometry = np.zeros_like(moving)
-        for hull_px, members in zip(found.hulls, found.members, strict=True):
-            geometry |= self._filled(hull_px, test.raw_px[members], test.depth_m[members], frame.image.depth_m)
-        # What could not be tested gets the label of its community.
-        lone = values_at(geometry, test.raw_px) & (findings.verdicts == UNKNOWN)
-        is_static[findings.candidates[lone]] = False
-        return Motion(is_static, moving | geometry)
+        if findings.found.hulls:
+            geometry = self._filled(findings, frame.image.depth_m)
+            # What could not be tested gets the label of its community.
+            lone = values_at(geometry, findings.test.raw_px) & (findings.verdicts == UNKNOWN)
+            is_static[findings.candidates[lone]] = False
+            moving = moving | geometry
+        return Motion(is_static, moving)
 
-    def _filled(self, hull_px: F64, members_px: F64, members_m: F64, depth_m: F32) -> Bool:
-        """Return the pixels (H, W) of a community: in its hull (k, 2), and near a member (M, 2), also in depth."""
-        hull = np.zeros(depth_m.shape, dtype=np.uint8)
-        cv2.fillConvexPoly(hull, np.rint(hull_px).astype(np.int32), 1)
-        filled = np.zeros(depth_m.shape, dtype=np.bool_)
-        fill(hull, members_px, members_m, self.config.fill_px, self.config.fill_m, depth_m, filled)
+    def _filled(self, findings: Findings, depth_m: F32) -> Bool:
+        """Return the pixels (H, W) of communities: in the hull of one, and near a member, also in depth."""
+        found, test, filled = findings.found, findings.test, np.zeros(depth_m.shape, dtype=np.bool_)
+        for hull_px, members in zip(found.hulls, found.members, strict=True):
+            hull = np.zeros(depth_m.shape, dtype=np.uint8)
+            cv2.fillConvexPoly(hull, np.rint(hull_px).astype(np.int32), 1)
+            members_px, members_m = test.raw_px[members], test.depth_m[members]
+            fill(hull, members_px, members_m, self.config.fill_px, self.config.fill_m, depth_m, filled)
         return filled
 
 

@@ -7,7 +7,11 @@ from stillroom.geometry.arrays import F64, U8
 
 HALF_PX = 4
 """Half the side of a patch, on whatever level of the pyramid it is taken."""
-N_PIXELS = (2 * HALF_PX + 1) ** 2
+SIDE_PX = 2 * HALF_PX + 1
+N_PIXELS = SIDE_PX**2
+_WIDE_PX = SIDE_PX + 2
+ROOM = 4, _WIDE_PX**2
+"""Shape of the scratch of a search."""
 MARGIN_PX = HALF_PX + 2
 MIN_CONTRAST = 4.0
 """Root mean square gradient [gray levels a pixel] that a patch must have in its poorest direction, on average."""
@@ -25,40 +29,78 @@ def in_view(image: U8, x: float, y: float) -> bool:
 
 
 @njit(nogil=True, cache=True)
-def take_patch(image: U8, x: float, y: float, patch: F64) -> float:
-    """Write the patch around (x, y), which must be in view, row by row to `patch` (N_PIXELS,); return its mean."""
+def take_patch(image: U8, x: float, y: float, scratch: F64) -> float:
+    """Write the patch around (x, y), which must be in view, row by row, and its gradients; return its mean.
+
+    Args:
+        image: The image (h, w).
+        x, y: The middle of the patch [px].
+        scratch: Of the shape ROOM; the patch less its mean, and its differences by x and by y are written to the first
+            N_PIXELS of three rows. The last row is for the patch with a border of a pixel.
+    """
     column, row = int(np.floor(x)), int(np.floor(y))
     fx, fy = x - column, y - row
     w00, w01, w10, w11 = (1.0 - fx) * (1.0 - fy), fx * (1.0 - fy), (1.0 - fx) * fy, fx * fy
-    total, n = 0.0, 0
-    for r in range(row - HALF_PX, row + HALF_PX + 1):
-        for c in range(column - HALF_PX, column + HALF_PX + 1):
-            value = w00 * image[r, c] + w01 * image[r, c + 1] + w10 * image[r + 1, c] + w11 * image[r + 1, c + 1]
-            patch[n] = value
-            total += value
-            n += 1
-    return total / n
+    left, top = column - HALF_PX - 1, row - HALF_PX - 1
+    patch, by_x, by_y, wide = scratch[0], scratch[1], scratch[2], scratch[3]
+    for r in range(_WIDE_PX):
+        upper, lower = image[top + r, left : left + _WIDE_PX + 1], image[top + r + 1, left : left + _WIDE_PX + 1]
+        for c in range(_WIDE_PX):
+            wide[_WIDE_PX * r + c] = w00 * upper[c] + w01 * upper[c + 1] + w10 * lower[c] + w11 * lower[c + 1]
+    total = 0.0
+    for r in range(SIDE_PX):
+        for c in range(SIDE_PX):
+            n, m = SIDE_PX * r + c, _WIDE_PX * (r + 1) + c + 1
+            patch[n] = wide[m]
+            by_x[n] = 0.5 * (wide[m + 1] - wide[m - 1])
+            by_y[n] = 0.5 * (wide[m + _WIDE_PX] - wide[m - _WIDE_PX])
+            total += patch[n]
+    mean = total / N_PIXELS
+    for n in range(N_PIXELS):
+        patch[n] -= mean
+    return mean
 
 
-@njit(nogil=True, cache=True)
-def take_gradients(image: U8, x: float, y: float, scratch: F64) -> bool:
-    """Write a patch's gradients to rows 1 and 2 of `scratch` (4, N_PIXELS); return whether it is a corner."""
-    take_patch(image, x + 1.0, y, scratch[1])
-    take_patch(image, x - 1.0, y, scratch[3])
+@njit(nogil=True, cache=True, fastmath={"reassoc", "contract"})
+def moments(scratch: F64) -> tuple[float, float, float, float, float, float, float, float]:
+    """Return sums over a patch p and its differences g, h, as `take_patch` wrote them: p², gg, hh, gh, pg, ph, g, h."""
+    pp = gg = hh = gh = pg = ph = sum_g = sum_h = 0.0
     for n in range(N_PIXELS):
-        scratch[1, n] = 0.5 * (scratch[1, n] - scratch[3, n])
-    take_patch(image, x, y + 1.0, scratch[2])
-    take_patch(image, x, y - 1.0, scratch[3])
-    for n in range(N_PIXELS):
-        scratch[2, n] = 0.5 * (scratch[2, n] - scratch[3, n])
-    xx = yy = xy = 0.0
-    for n in range(N_PIXELS):
-        xx += scratch[1, n] * scratch[1, n]
-        yy += scratch[2, n] * scratch[2, n]
-        xy += scratch[1, n] * scratch[2, n]
-    least = 0.5 * (xx + yy - np.sqrt((xx - yy) * (xx - yy) + 4.0 * xy * xy))
-    is_corner: bool = least > MIN_CONTRAST * MIN_CONTRAST * N_PIXELS
-    return is_corner
+        p, g, h = scratch[0, n], scratch[1, n], scratch[2, n]
+        pp += p * p
+        gg += g * g
+        hh += h * h
+        gh += g * h
+        pg += p * g
+        ph += p * h
+        sum_g += g
+        sum_h += h
+    return pp, gg, hh, gh, pg, ph, sum_g, sum_h
+
+
+@njit(nogil=True, cache=True, fastmath={"reassoc", "contract"})
+def compare(image: U8, x: float, y: float, mean: float, scratch: F64) -> tuple[float, float, float, float, float]:
+    """Return sums over the patch t around (x, y), which must be in view, and p, g, h of `moments`: t, t², tp, tg, th.
+
+    Of t, `mean` is taken off: what is large in all its values would cost digits.
+    """
+    column, row = int(np.floor(x)), int(np.floor(y))
+    fx, fy = x - column, y - row
+    w00, w01, w10, w11 = (1.0 - fx) * (1.0 - fy), fx * (1.0 - fy), (1.0 - fx) * fy, fx * fy
+    left, top = column - HALF_PX, row - HALF_PX
+    sum_t = tt = tp = tg = th = 0.0
+    for r in range(SIDE_PX):
+        upper = image[top + r, left : left + SIDE_PX + 1]
+        lower = image[top + r + 1, left : left + SIDE_PX + 1]
+        for c in range(SIDE_PX):
+            n = SIDE_PX * r + c
+            t = w00 * upper[c] + w01 * upper[c + 1] + w10 * lower[c] + w11 * lower[c + 1] - mean
+            sum_t += t
+            tt += t * t
+            tp += t * scratch[0, n]
+            tg += t * scratch[1, n]
+            th += t * scratch[2, n]
+    return sum_t, tt, tp, tg, th
 
 
 @njit(nogil=True, cache=True)
@@ -80,7 +122,7 @@ def find_patch(
         now, at: Image (h, w), and x and y of the point in it [px].
         then, guess: The other image, and x and y of the guess [px].
         iterations: Most steps.
-        scratch: Room for patches (4, N_PIXELS).
+        scratch: Room for `take_patch`, of the shape ROOM.
         found: Where the patch is (2,) [px]; filled in.
 
     Returns:
@@ -89,33 +131,25 @@ def find_patch(
     """
     (x, y), (u, v) = at, guess
     found[0], found[1] = u, v
-    if not in_view(now, x, y) or not take_gradients(now, x, y, scratch):
+    if not in_view(now, x, y):
         return NOT_SEEN
-    mean = take_patch(now, x, y, scratch[0])
-    xx = yy = xy = variance = 0.0
-    for n in range(N_PIXELS):
-        xx += scratch[1, n] * scratch[1, n]
-        yy += scratch[2, n] * scratch[2, n]
-        xy += scratch[1, n] * scratch[2, n]
-        variance += (scratch[0, n] - mean) ** 2
+    mean = take_patch(now, x, y, scratch)
+    variance, xx, yy, xy, px, py, sum_x, sum_y = moments(scratch)
+    least = 0.5 * (xx + yy - np.sqrt((xx - yy) * (xx - yy) + 4.0 * xy * xy))
+    if not least > MIN_CONTRAST * MIN_CONTRAST * N_PIXELS:
+        return NOT_SEEN  # no corner
     determinant = xx * yy - xy * xy
     likeness = NOT_SEEN
     for _ in range(iterations):
         if not in_view(then, found[0], found[1]):
             return NOT_SEEN
-        other = take_patch(then, found[0], found[1], scratch[3])
-        product = energy = 0.0
-        for n in range(N_PIXELS):
-            scratch[3, n] -= other
-            product += scratch[3, n] * (scratch[0, n] - mean)
-            energy += scratch[3, n] * scratch[3, n]
+        total, squares, product, along_x, along_y = compare(then, found[0], found[1], mean, scratch)
+        other = total / N_PIXELS
+        energy = max(0.0, squares - total * other)
         likeness = product / np.sqrt(energy * variance + 1e-9)
         contrast = np.sqrt(variance / (energy + 1e-9))
-        bx = by = 0.0
-        for n in range(N_PIXELS):
-            difference = contrast * scratch[3, n] - (scratch[0, n] - mean)
-            bx += scratch[1, n] * difference
-            by += scratch[2, n] * difference
+        bx = contrast * (along_x - other * sum_x) - px
+        by = contrast * (along_y - other * sum_y) - py
         step_x, step_y = (yy * bx - xy * by) / determinant, (xx * by - xy * bx) / determinant
         found[0] -= step_x
         found[1] -= step_y

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from stillroom.compiled import njit
-from stillroom.dynamics.homography.patches import N_PIXELS, NOT_SEEN, find_patch
+from stillroom.dynamics.homography.patches import NOT_SEEN, ROOM, find_patch
 from stillroom.geometry.arrays import F32, F64, I64, U8, Bool
 from stillroom.geometry.camera import Camera, Lens
 from stillroom.geometry.distortion import distorted
@@ -255,7 +255,7 @@ def judge_points(
     T, H = motions
     verdicts, residual_px = answers
     then_depth_m, use_depth = images.then_depth_m, limits.use_depth
-    scratch = np.empty((4, N_PIXELS))
+    scratch = np.empty(ROOM)
     by_pose, by_plane, found = np.empty(2), np.empty(2), np.empty(2)
     for k in range(len(which)):
         i = which[k]

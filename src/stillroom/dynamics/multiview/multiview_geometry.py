@@ -195,9 +195,8 @@ class Geometry:
             if self.config.seen_through
             else seen.there._replace(depth_m=seen.there.depth_m[:0], T_cam_world=seen.there.T_cam_world[:0])
         )
-        region = np.zeros(here.depth_m.shape, dtype=np.uint8)
-        queue = np.empty((region.size, 2), dtype=np.int32)
-        grow(seeds_px // np.int32(stride), here, there, self._growth, self._limits, queue, region)
+        region = np.empty(here.depth_m.shape, dtype=np.uint8)
+        grow(seeds_px // np.int32(stride), here, there, self._growth, self._limits, region)
         if stride == 1:
             return region.view(np.bool_)
         return np.asarray(cv2.resize(region, (width, height), interpolation=cv2.INTER_NEAREST)).view(np.bool_)

@@ -13,7 +13,7 @@ from stillroom.geometry.distortion import distorted
 
 I8 = NDArray[np.int8]
 CELL = 2
-DROPPED = 2
+OUTSIDE = 2
 NOT_ASKED = 2
 
 
@@ -216,18 +216,20 @@ def _first_nearer(depth_m: F32, column: int, row: int, z: float, window: I32) ->
     return column, row, -1.0 if known else 0.0
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(nogil=True, cache=True, error_model="numpy", fastmath={"reassoc", "contract"})
 def _variance(depth_m: F32, row: int, column: int, reach: int) -> float:
     """Return the variance of the known depths of a square patch."""
-    n, total, squares = 0, 0.0, 0.0
+    n = total = squares = 0.0
     origin = float(depth_m[row, column])
+    left, right = max(0, column - reach), min(depth_m.shape[1], column + reach + 1)
     for v in range(max(0, row - reach), min(depth_m.shape[0], row + reach + 1)):
-        for u in range(max(0, column - reach), min(depth_m.shape[1], column + reach + 1)):
-            if depth_m[v, u] > 0.0:
-                difference = depth_m[v, u] - origin
-                n += 1
-                total += difference
-                squares += difference * difference
+        line = depth_m[v, left:right]
+        for u in range(len(line)):
+            is_known = 1.0 if line[u] > 0.0 else 0.0
+            difference = is_known * (line[u] - origin)
+            n += is_known
+            total += difference
+            squares += difference * difference
     mean = total / n
     return squares / n - mean * mean
 
@@ -275,7 +277,7 @@ def sees(there: KeyframeDepths, k: int, lens: Lens, place_m: tuple[float, float,
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def grow(seeds: I32, here: Here, there: KeyframeDepths, growth: Growth, limits: Limits, queue: I32, region: U8) -> None:
+def grow(seeds: I32, here: Here, there: KeyframeDepths, growth: Growth, limits: Limits, region: U8) -> None:
     """Grow regions on depth from seeds, breadth first, each by the running mean of what it has (DynaSLAM III.C).
 
     A pixel whose place more keyframes saw occupied than free is never added; without keyframes, all may be. They are
@@ -286,57 +288,68 @@ def grow(seeds: I32, here: Here, there: KeyframeDepths, growth: Growth, limits: 
         here: The present depth image, at any stride.
         there: The keyframes to compare with.
         growth, limits: The numbers.
-        queue: Room for every pixel (h · w, 2).
-        region: Where the result is written (h, w): 1 in a region, 0 outside; all 0 before.
+        region: Where the result is written (h, w): 1 in a region, else 0.
     """
     height, width = here.depth_m.shape
-    asked = np.full((height // CELL + 1, width // CELL + 1), NOT_ASKED, dtype=np.int8)
+    across = width + 2  # The image has a border that is in no region, so that no pixel need be asked whether it is there.
+    depth_m, taken = np.zeros((height + 2) * across, dtype=np.float32), np.full((height + 2) * across, OUTSIDE, np.uint8)
+    said, queue = np.full((height + 2) * across, NOT_ASKED, dtype=np.int8), np.empty(height * width, dtype=np.int32)
+    for row in range(height):
+        start = (row + 1) * across + 1
+        depth_m[start : start + width] = here.depth_m[row]
+        taken[start : start + width] = 0
     for s in range(len(seeds)):
-        column, row = seeds[s, 0], seeds[s, 1]
-        mean = float(here.depth_m[row, column])
-        if mean <= 0.0 or region[row, column] != 0:
+        first = (seeds[s, 1] + 1) * across + seeds[s, 0] + 1
+        mean = float(depth_m[first])
+        if mean <= 0.0 or taken[first] != 0:
             continue
-        said = _said(here, there, row, column, limits, asked)
-        if said == AGREES:
+        if said[first] == NOT_ASKED:
+            _ask(here, there, first, limits, said)
+        if said[first] == AGREES:
             continue
-        queue[0, 0], queue[0, 1], head, tail, through = row, column, 0, 1, int(said == EMPTY)
-        region[row, column] = 1
+        queue[0], head, tail, through = first, 0, 1, int(said[first] == EMPTY)
+        taken[first] = 1
         while head < tail:
-            row, column = queue[head, 0], queue[head, 1]
+            at = queue[head]
             head += 1
-            for k in range(4):
-                v, u = row + (k == 1) - (k == 0), column + (k == 3) - (k == 2)
-                if v < 0 or u < 0 or v >= height or u >= width or region[v, u] != 0:
+            for step in (-across, across, -1, 1):
+                beside = at + step
+                if taken[beside] != 0:
                     continue
-                z = float(here.depth_m[v, u])
+                z = float(depth_m[beside])
                 if z <= 0.0 or abs(z - mean) >= growth.mean_m + growth.mean_per_m * z * z:
                     continue
-                if abs(z - here.depth_m[row, column]) > growth.step_m + growth.step_per_m * z * z:
+                if abs(z - depth_m[at]) > growth.step_m + growth.step_per_m * z * z:
                     continue
-                said = _said(here, there, v, u, limits, asked)
-                if said == AGREES:
+                if said[beside] == NOT_ASKED:
+                    _ask(here, there, beside, limits, said)
+                if said[beside] == AGREES:
                     continue
-                through += said == EMPTY
-                region[v, u] = 1
-                queue[tail, 0], queue[tail, 1] = v, u
+                through += said[beside] == EMPTY
+                taken[beside] = 1
+                queue[tail] = beside
                 tail += 1
                 mean += (z - mean) / tail
         if tail < growth.min_pixels or through < growth.min_seen_through * tail:
-            for k in range(tail):
-                region[queue[k, 0], queue[k, 1]] = DROPPED
-    for v in range(height):
-        for u in range(width):
-            region[v, u] &= 1
+            taken[queue[:tail]] = OUTSIDE
+    for row in range(height):
+        start = (row + 1) * across + 1
+        region[row] = taken[start : start + width] & 1
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _said(here: Here, there: KeyframeDepths, row: int, column: int, limits: Limits, asked: I8) -> int:
-    """Return the majority of the keyframes on a present pixel's place: AGREES, EMPTY or UNKNOWN."""
-    cell = row // CELL, column // CELL
-    if asked[cell] == NOT_ASKED:
-        votes, left, place_m = 0, len(there.depth_m), _place(here, row, column)
-        while left > 0 and abs(votes) <= left:
-            left -= 1
-            votes += sees(there, left, here.lens, place_m, limits)
-        asked[cell] = AGREES if votes > 0 else EMPTY if votes < 0 else UNKNOWN
-    return int(asked[cell])
+def _ask(here: Here, there: KeyframeDepths, at: int, limits: Limits, said: I8) -> None:
+    """Write the majority of the keyframes on a present pixel's place for its cell: AGREES, EMPTY or UNKNOWN.
+
+    `at` is the pixel's number in the image with a border (h + 2, w + 2), which `said` has.
+    """
+    across = here.depth_m.shape[1] + 2
+    row, column = at // across - 1, at % across - 1
+    votes, left, place_m = 0, len(there.depth_m), _place(here, row, column)
+    while left > 0 and abs(votes) <= left:
+        left -= 1
+        votes += sees(there, left, here.lens, place_m, limits)
+    corner = at - row % CELL * across - column % CELL
+    for v in range(CELL):
+        for u in range(CELL):
+            said[corner + v * across + u] = AGREES if votes > 0 else EMPTY if votes < 0 else UNKNOWN

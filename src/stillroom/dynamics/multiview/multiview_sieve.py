@@ -1,6 +1,7 @@
 """DynaSLAM's rule: dynamic is what a network masks, and what multi-view geometry finds."""
 
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -56,6 +57,15 @@ class MultiViewConfig:
         return MultiViewSieve(self)
 
 
+class _Said(NamedTuple):
+    """The last answer, and what it was made of: the stages of a frame ask the same."""
+
+    frame: Frame
+    known: Semantics
+    found: Bool | None
+    motion: Motion
+
+
 class MultiViewSieve:
     """Sieve 2 of `dynaslam`."""
 
@@ -64,7 +74,7 @@ class MultiViewSieve:
         self.config = config
         self.geometry = config.test.build()
         self._quick: ImageMemory[tuple[Bool | None]] = ImageMemory(*NEAR)
-        self._judged: ImageMemory[Bool] = ImageMemory()
+        self._said: _Said | None = None
 
     def judge(self, question: Question) -> Motion:
         """Classify every keypoint by the mask.
@@ -73,16 +83,19 @@ class MultiViewSieve:
         local-map stage, and the stages before use the network alone: their matches are of points that were found to be
         static in the last frame. With only a predicted pose everything would seem to move.
         """
-        found = self._mask(question) if self.config.geometry else None
-        moving = self._moving(found, question.known)
-        self._judged.keep(question.frame.image, question.T_cam_world, moving)
-        return Motion(~values_at(moving, question.frame.keypoints.raw_px), moving)
+        found, known, frame = self._mask(question) if self.config.geometry else None, question.known, question.frame
+        said = self._said
+        if said is None or said.found is not found or said.known is not known or said.frame is not frame:
+            moving = self._moving(found, known)
+            motion = Motion(~values_at(moving, frame.keypoints.raw_px), moving)
+            self._said = said = _Said(frame, known, found, motion)
+        return said.motion
 
     def remember(self, frame: Frame, T_cam_world: F64, keyframe: int) -> None:
         """Store what is dynamic in the frame; a keyframe's depth is kept."""
-        moving = self._judged.of(frame.image)
-        if moving is not None and self.config.geometry:
-            self.geometry.views.note(frame, T_cam_world, moving, keyframe)
+        said = self._said
+        if said is not None and said.frame.image is frame.image and self.config.geometry:
+            self.geometry.views.note(frame, T_cam_world, said.motion.moving, keyframe)
 
     def corrected(self, T_new_old: F64) -> None:
         """Correct the stored poses."""
@@ -101,16 +114,15 @@ class MultiViewSieve:
         return self.geometry.mask(frame, T_cam_world, question.world) if question.stage is Stage.LOCAL_MAP else None
 
     def _moving(self, found: Bool | None, known: Semantics) -> Bool:
-        """Return the union of both masks (H, W), as a new array."""
-        moving = np.zeros((known.height, known.width), dtype=np.bool_)
+        """Return the union of both masks (H, W)."""
+        moving = None if found is None or not found.any() else grown(found, self.config.dilation_px, Shape.ELLIPSE)
         if self.config.network and known.has_any:
             if found is not None and self.config.combination == GEOMETRY_FIRST:
-                moving |= without_found(known, found, self.config.overlap_share)
+                masked = without_found(known, found, self.config.overlap_share)
             else:
-                moving |= known.movable
-        if found is not None:
-            moving |= grown(found, self.config.dilation_px, Shape.ELLIPSE)
-        return moving
+                masked = known.movable
+            moving = masked if moving is None else moving | masked
+        return np.zeros((known.height, known.width), dtype=np.bool_) if moving is None else moving
 
 
 def without_found(known: Semantics, found: Bool, share: float) -> Bool:

@@ -103,6 +103,7 @@ class KeyframeViews:
         self.config = config
         self._views: deque[KeyframeView] = deque(maxlen=config.kept)
         self._last: _Noted | None = None
+        self._asked: tuple[tuple[KeyframeView, ...], F32, F64, I64] | None = None
 
     def __len__(self) -> int:
         """How many keyframes are stored."""
@@ -153,14 +154,16 @@ class KeyframeViews:
             return None
         chosen = overlapping[self._choose(apart[overlapping])]
         poses = poses[chosen]
-        points = [views[i].points_cam_m for i in chosen]
-        return AskedViews(
-            T_world_cam=poses,
-            T_cam_world=se3.inverse(poses),
-            depth_m=np.stack([views[i].depth_m for i in chosen]),
-            points_cam_m=np.concatenate(points),
-            seen_in=np.repeat(np.arange(len(chosen)), [len(group) for group in points]),
-        )
+        return AskedViews(poses, se3.inverse(poses), *self._together([views[i] for i in chosen]))
+
+    def _together(self, views: list[KeyframeView]) -> tuple[F32, F64, I64]:
+        """Return depths, points, and who saw them, as `AskedViews` has them; the same ones until others are asked."""
+        if self._asked is None or [id(view) for view in self._asked[0]] != [id(view) for view in views]:
+            sizes = [len(view.points_cam_m) for view in views]
+            depth_m = np.stack([view.depth_m for view in views])
+            points_cam_m = np.concatenate([view.points_cam_m for view in views])
+            self._asked = tuple(views), depth_m, points_cam_m, np.repeat(np.arange(len(views)), sizes)
+        return self._asked[1:]
 
     def _choose(self, apart: F64) -> I64:
         """Return the indices of those to compare with, given present poses (K, 4, 4) in each, oldest first."""

@@ -74,6 +74,31 @@ class Blocks(NamedTuple):
 
 
 @njit(nogil=True, cache=True)
+def sort_observations(points: I64, slots: I64, n_points: int) -> tuple[I64, I64]:
+    """Sort observations (O,) by point, within a point by slot, and else as they came.
+
+    Returns:
+        Where each point's observations start (P + 1,), and the observations in order (O,).
+    """
+    starts = np.zeros(n_points + 1, np.int64)
+    for o in range(len(points)):
+        starts[points[o] + 1] += 1
+    for p in range(n_points):
+        starts[p + 1] += starts[p]
+    ends = starts[:-1].copy()
+    order = np.empty(len(points), np.int64)
+    for o in range(len(points)):
+        p = points[o]
+        at = ends[p]
+        while at > starts[p] and slots[order[at - 1]] > slots[o]:
+            order[at] = order[at - 1]
+            at -= 1
+        order[at] = o
+        ends[p] += 1
+    return starts, order
+
+
+@njit(nogil=True, cache=True)
 def evaluate(T: F64, points: F64, seen: Observations, deltas2: tuple[float, float], chi2: F64) -> float:
     """Write χ² (O,) of every observation; return the robust cost Σpρ of the active ones."""
     starts, _, keyframes, observed, weights, p_static, is_active, intrinsics = seen

@@ -39,7 +39,10 @@ def adjust_these(free: list[int], camera: Camera, adjust: BundleAdjuster, world:
     table, points, keyframes = world.keypoints, world.points, world.keyframes
     point_ids = world.points_seen_by(np.array(free))
     place, rows = world.observations(point_ids)
-    involved, obs_keyframe = np.unique(table.keyframe[rows], return_inverse=True)
+    obs_keyframe = table.keyframe[rows]
+    involved = np.flatnonzero(np.bincount(obs_keyframe, minlength=len(keyframes)))
+    index_of = np.empty(len(keyframes), dtype=np.int32)
+    index_of[involved] = np.arange(len(involved))
     is_fixed = ~np.isin(involved, free) | (keyframes.parent[involved] < 0)
     if is_fixed.all() or len(rows) == 0:
         return
@@ -49,7 +52,7 @@ def adjust_these(free: list[int], camera: Camera, adjust: BundleAdjuster, world:
         T_cam_world=se3.inverse(keyframes.T_world_cam[involved]),
         is_fixed=is_fixed,
         points_world_m=points.position_m[point_ids],
-        obs_keyframe=obs_keyframe.astype(np.int32),
+        obs_keyframe=index_of[obs_keyframe],
         obs_point=place,
         observed_px=observations.observed_px(table.px[rows], table.right_px[rows]),
         weights=observations.weights(table.octave[rows], table.right_px[rows], world.scales.inverse_variances),

@@ -1,18 +1,24 @@
 """New points of a keyframe: from its depth at once, by triangulation with its neighbours later."""
 
+import math
+from typing import NamedTuple
+
 import numpy as np
 
+from stillroom.compiled import njit
 from stillroom.data.map import Map
 from stillroom.data.result import Tracked
 from stillroom.features.matching import Targets, search_epipolar
 from stillroom.geometry import se3
-from stillroom.geometry.arrays import F64, I32, I64, Bool
+from stillroom.geometry.arrays import F32, F64, I32, I64, Bool
 from stillroom.geometry.camera import Camera
-from stillroom.geometry.epipolar import fundamental_from_motion, ray_cosines, triangulate
+from stillroom.geometry.epipolar import fundamental_from_motion, triangulate
+from stillroom.optimize.observations import to_camera
 
 MIN_NEAREST = 100
 """A keyframe makes at least this many points from depth, however far (ORB-SLAM2)."""
 _CHI2_2D, _CHI2_3D = 5.991, 7.815
+_LARGEST_COSINE = 0.9998
 
 
 def from_depth(keyframe: int, tracked: Tracked, close_depth_m: float, world: Map) -> I32:
@@ -93,63 +99,127 @@ def _locate(first: I64, second: I64, camera: Camera, world: Map) -> tuple[F64, B
     table, keyframes = world.keypoints, world.keyframes
     T_world_first = keyframes.T_world_cam[table.keyframe[first[0]]]
     T_world_second = keyframes.T_world_cam[table.keyframe[second[0]]]
-    rays_first, rays_second = _rays(first, camera, world), _rays(second, camera, world)
-    cosine = ray_cosines(T_world_first, T_world_second, rays_first, rays_second)
-    cosine_first, cosine_second = _stereo_cosine(first, camera, world), _stereo_cosine(second, camera, world)
-    cosine_stereo = np.minimum(cosine_first, cosine_second)
-    has_depth = cosine_stereo < 1.0
-    parallax = (cosine > 0) & (cosine < cosine_stereo) & (has_depth | (cosine < 0.9998))
-    positions_m = triangulate(se3.inverse(T_world_first), se3.inverse(T_world_second), rays_first, rays_second)
-    for rows, T_world_cam, mine, other in (
-        (first, T_world_first, cosine_first, cosine_second),
-        (second, T_world_second, cosine_second, cosine_first),
-    ):
-        use = ~parallax & (mine < 1.0) & (mine <= other)
-        points_cam = camera.back_project(table.px[rows[use]], table.depth_m[rows[use]])
-        positions_m[use] = se3.transform(T_world_cam, points_cam)
-    good = np.isfinite(positions_m).all(axis=1) & (parallax | has_depth)
+    T_first_world, T_second_world = se3.inverse(T_world_first), se3.inverse(T_world_second)
+    seen = _Seen(table.px, table.depth_m, table.right_px, table.octave)
+    intrinsics = (camera.fx, camera.fy, camera.cx, camera.cy, camera.bf)
+    way = choose_ways(first, second, seen, T_world_first, T_world_second, intrinsics)
+    positions_m = np.zeros((len(first), 3))
+    rays = way == BY_RAYS
+    positions_m[rays] = triangulate(
+        T_first_world, T_second_world, _rays(first[rays], camera, world), _rays(second[rays], camera, world)
+    )
+    for chosen, rows, T_world_cam in ((way == BY_FIRST, first, T_world_first), (way == BY_SECOND, second, T_world_second)):
+        points_cam = camera.back_project(table.px[rows[chosen]], table.depth_m[rows[chosen]])
+        positions_m[chosen] = se3.transform(T_world_cam, points_cam)
+    good = np.isfinite(positions_m).all(axis=1) & (way != BY_NOTHING)
     positions_m[~good] = 0.0
-    for rows, T_world_cam in ((first, T_world_first), (second, T_world_second)):
-        good &= _agrees(positions_m, rows, T_world_cam, camera, world)
-    return positions_m, good & _scale_agrees(positions_m, first, second, world)
+    check(positions_m, first, seen, T_first_world, intrinsics, world.scales.inverse_variances, good)
+    check(positions_m, second, seen, T_second_world, intrinsics, world.scales.inverse_variances, good)
+    slack = 1.5 * world.scales.factor
+    check_scales(
+        positions_m, table.octave[first], table.octave[second], T_world_first, T_world_second, world.scales.factors, slack, good
+    )
+    return positions_m, good
 
 
 def _rays(rows: I64, camera: Camera, world: Map) -> F64:
     return camera.back_project(world.keypoints.px[rows], np.ones(len(rows)))[:, :2]
 
 
-def _stereo_cosine(rows: I64, camera: Camera, world: Map) -> F64:
-    """Return the cosine (M,) of the parallax that depth stands for; above 1 where there is none."""
-    depth_m = world.keypoints.depth_m[rows].astype(np.float64)
-    known = depth_m > 0
-    angle_rad = 2.0 * np.arctan2(camera.baseline_m / 2.0, np.where(known, depth_m, 1.0))
-    return np.where(known, np.cos(angle_rad), 2.0)
+BY_NOTHING, BY_RAYS, BY_FIRST, BY_SECOND = 0, 1, 2, 3
+"""How a point is located: not at all, by triangulation, by the depth of the first keypoint or of the second."""
 
 
-def _agrees(positions_m: F64, rows: I64, T_world_cam: F64, camera: Camera, world: Map) -> Bool:
-    """Return which positions (M, 3) lie before the camera and project to where their rows saw them."""
-    table = world.keypoints
-    points_cam = se3.transform(se3.inverse(T_world_cam), positions_m)
-    ahead = points_cam[:, 2] > 0
-    points_cam[~ahead, 2] = 1.0
-    px = camera.project(points_cam)
-    error2 = ((px - table.px[rows]) ** 2).sum(axis=1)
-    has_depth = table.right_px[rows] >= 0
-    right_error = px[:, 0] - camera.bf / points_cam[:, 2] - table.right_px[rows]
-    error2 += np.where(has_depth, right_error**2, 0.0)
-    error2 *= world.scales.inverse_variances[table.octave[rows]]
-    return np.asarray(ahead & (error2 <= np.where(has_depth, _CHI2_3D, _CHI2_2D)))
+class _Seen(NamedTuple):
+    """Columns of the keypoint table."""
+
+    px: F32
+    depth_m: F32
+    right_px: F32
+    octave: I32
 
 
-def _scale_agrees(positions_m: F64, first: I64, second: I64, world: Map) -> Bool:
-    """Return where the ratio of distances (M,) fits the ratio of the levels that the keypoints were found on."""
-    table = world.keypoints
-    centres = world.keyframes.T_world_cam[:, :3, 3]
-    near = np.linalg.norm(positions_m - centres[table.keyframe[first]], axis=1)
-    far = np.linalg.norm(positions_m - centres[table.keyframe[second]], axis=1)
-    factors = world.scales.factors
-    ratio_of_levels = factors[table.octave[first]] / factors[table.octave[second]]
-    slack = 1.5 * world.scales.factor
-    with np.errstate(divide="ignore", invalid="ignore"):
-        quotient = (far / near) / ratio_of_levels
-    return np.asarray((near > 0) & (far > 0) & (quotient < slack) & (quotient > 1.0 / slack))
+@njit(nogil=True, cache=True)
+def choose_ways(
+    first: I64, second: I64, seen: _Seen, T_world_first: F64, T_world_second: F64, intrinsics: tuple[float, ...]
+) -> I64:
+    """Return how to locate the points of matched rows (M,): by depth where that stands for the larger parallax."""
+    fx, fy, cx, cy, bf = intrinsics
+    ways = np.empty(len(first), np.int64)
+    A, B = T_world_first, T_world_second
+    for i in range(len(first)):
+        px, other = seen.px[first[i]], seen.px[second[i]]
+        ax, ay, bx, by = (px[0] - cx) / fx, (px[1] - cy) / fy, (other[0] - cx) / fx, (other[1] - cy) / fy
+        product, aa, bb = 0.0, 0.0, 0.0
+        for r in range(3):
+            a = A[r, 0] * ax + A[r, 1] * ay + A[r, 2]
+            b = B[r, 0] * bx + B[r, 1] * by + B[r, 2]
+            product, aa, bb = product + a * b, aa + a * a, bb + b * b
+        cosine = product / (math.sqrt(aa) * math.sqrt(bb))
+        cosine_first = _stereo_cosine(seen.depth_m[first[i]], bf / fx)
+        cosine_second = _stereo_cosine(seen.depth_m[second[i]], bf / fx)
+        cosine_stereo = min(cosine_first, cosine_second)
+        has_depth = cosine_stereo < 1.0
+        if 0.0 < cosine < cosine_stereo and (has_depth or cosine < _LARGEST_COSINE):
+            ways[i] = BY_RAYS
+        elif not has_depth:
+            ways[i] = BY_NOTHING
+        else:
+            ways[i] = BY_SECOND if cosine_second <= cosine_first else BY_FIRST
+    return ways
+
+
+@njit(nogil=True, cache=True)
+def _stereo_cosine(depth_m: float, baseline_m: float) -> float:
+    """Return the cosine of the parallax that depth stands for; above 1 where there is none."""
+    return math.cos(2.0 * math.atan2(baseline_m / 2.0, depth_m)) if depth_m > 0 else 2.0
+
+
+@njit(nogil=True, cache=True)
+def check(
+    positions_m: F64,
+    rows: I64,
+    seen: _Seen,
+    T_cam_world: F64,
+    intrinsics: tuple[float, ...],
+    inverse_variances: F64,
+    good: Bool,
+) -> None:
+    """Clear `good` (M,) where positions (M, 3) lie behind the camera or do not project to where their rows saw them."""
+    fx, fy, cx, cy, bf = intrinsics
+    for i in range(len(rows)):
+        x, y, z = to_camera(T_cam_world, positions_m[i, 0], positions_m[i, 1], positions_m[i, 2])
+        if not z > 0.0:
+            good[i] = False
+            continue
+        u, row = fx * x / z + cx, rows[i]
+        e_u, e_v = u - seen.px[row, 0], fy * y / z + cy - seen.px[row, 1]
+        error2 = e_u * e_u + e_v * e_v
+        has_depth = seen.right_px[row] >= 0
+        if has_depth:
+            error2 += (u - bf / z - seen.right_px[row]) ** 2
+        good[i] &= error2 * inverse_variances[seen.octave[row]] <= (_CHI2_3D if has_depth else _CHI2_2D)
+
+
+@njit(nogil=True, cache=True)
+def check_scales(
+    positions_m: F64,
+    octave_first: I32,
+    octave_second: I32,
+    T_world_first: F64,
+    T_world_second: F64,
+    factors: F64,
+    slack: float,
+    good: Bool,
+) -> None:
+    """Clear `good` (M,) where the ratio of distances does not fit that of the levels the keypoints were found on."""
+    for i in range(len(good)):
+        near, far = 0.0, 0.0
+        for axis in range(3):
+            near += (positions_m[i, axis] - T_world_first[axis, 3]) ** 2
+            far += (positions_m[i, axis] - T_world_second[axis, 3]) ** 2
+        if near == 0.0 or far == 0.0:
+            good[i] = False
+            continue
+        quotient = math.sqrt(far / near) / (factors[octave_first[i]] / factors[octave_second[i]])
+        good[i] &= 1.0 / slack < quotient < slack

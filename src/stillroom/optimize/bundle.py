@@ -23,6 +23,7 @@ from stillroom.optimize.bundle_kernels import (
     linearize,
     move_cameras,
     move_points,
+    sort_observations,
 )
 from stillroom.optimize.observations import intrinsics_of
 from stillroom.optimize.reduced_system import reduced_system
@@ -115,12 +116,11 @@ class _Adjustment:
         self.free = np.flatnonzero(~np.asarray(problem.is_fixed, dtype=np.bool_))
         slot_of = np.full(n_keyframes, -1, dtype=np.int64)
         slot_of[self.free] = np.arange(len(self.free))
-        obs_slot = slot_of[problem.obs_keyframe]
+        obs_keyframe = np.asarray(problem.obs_keyframe, dtype=np.int64)
         obs_point = np.asarray(problem.obs_point, dtype=np.int64)
-        self.order = np.argsort(obs_point * (len(self.free) + 1) + obs_slot, kind="stable")
-        counts = np.bincount(obs_point, minlength=n_points)
-        starts = np.concatenate((np.zeros(1, dtype=np.int64), np.cumsum(counts, dtype=np.int64)))
-        self.sorted = Order(starts, obs_slot[self.order])
+        starts, self.order = sort_observations(obs_point, slot_of[obs_keyframe], n_points)
+        keyframes = obs_keyframe[self.order]
+        self.sorted = Order(starts, slot_of[keyframes])
         self.T = np.array(problem.T_cam_world, dtype=np.float64).reshape(-1, 4, 4)
         self.points = np.array(problem.points_world_m, dtype=np.float64).reshape(-1, 3)
         self.T_trial, self.points_trial = self.T.copy(), self.points.copy()
@@ -129,7 +129,7 @@ class _Adjustment:
         self.is_active = np.ones(n_observations, dtype=np.bool_)
         self.seen = Observations(
             *self.sorted,
-            np.asarray(problem.obs_keyframe, dtype=np.int64)[self.order],
+            keyframes,
             np.asarray(problem.observed_px, dtype=np.float64).reshape(-1, 3)[self.order],
             self.weights,
             self._p_static(problem),

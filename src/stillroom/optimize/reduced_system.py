@@ -6,7 +6,7 @@ Both take the kernels' blocks (see `bundle_kernels`) and return the cameras' ste
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from scipy.linalg import LinAlgError, cho_factor, cho_solve
+from scipy.linalg.lapack import dpotrf, dpotrs
 from scipy.sparse import bsr_matrix, csr_matrix, tril
 from scipy.sparse.linalg import splu
 
@@ -58,12 +58,9 @@ class DenseSystem:
         size = rhs.size
         if not size:
             return np.zeros((0, 6))
-        try:
-            # The transpose is what LAPACK wants to work in place: its upper triangle is our lower one.
-            system = cho_factor(S.reshape(size, size).T, overwrite_a=True, check_finite=False)
-        except LinAlgError:
-            return None
-        return _finite(cho_solve(system, rhs.reshape(size), check_finite=False))
+        # The transpose is what LAPACK wants to work in place: its upper triangle is our lower one.
+        factor, failed = dpotrf(S.reshape(size, size).T, clean=False, overwrite_a=True)
+        return None if failed else _finite(dpotrs(factor, rhs.reshape(size))[0])
 
 
 class SparseSystem:

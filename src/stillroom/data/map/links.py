@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from stillroom.compiled import njit
-from stillroom.geometry.arrays import F32, F64, I32, I64, U64
+from stillroom.geometry.arrays import F32, F64, I32, I64, U64, Bool
 from stillroom.geometry.hamming import popcount64
 
 MAX_DESCRIPTORS = 20
@@ -35,6 +35,13 @@ class Counts(NamedTuple):
     n_keyframes: I32
 
 
+class Unsaved(NamedTuple):
+    """Which points (P,) and whose keyframes' (K,) observations changed since the map was last written to disk."""
+
+    points: Bool
+    keyframes: Bool
+
+
 class Viewing(NamedTuple):
     """Where each point lies (P, 3) [m, world], its mean viewing direction (P, 3), and from how far it is found [m]."""
 
@@ -45,50 +52,76 @@ class Viewing(NamedTuple):
 
 
 @njit(nogil=True, cache=True)
-def link(points: I32, rows: I64, links: Links, row_right_px: F32, counts: Counts) -> int:
+def link(points: I32, rows: I64, links: Links, row_right_px: F32, counts: Counts, unsaved: Unsaved) -> int:
     """Link each row to its point, unless it has one already or its keyframe sees the point; count the links."""
-    row_point, row_next, row_keyframe, first_row = links
-    n_observations, n_keyframes = counts
     linked = 0
     for i in range(len(points)):
-        point, row = points[i], rows[i]
-        if row_point[row] >= 0:
-            continue
-        other = first_row[point]
-        while other >= 0 and row_keyframe[other] != row_keyframe[row]:
-            other = row_next[other]
-        if other >= 0:
-            continue
-        row_point[row] = point
-        row_next[row] = first_row[point]
-        first_row[point] = row
-        n_observations[point] += 2 if row_right_px[row] >= 0 else 1
-        n_keyframes[point] += 1
-        linked += 1
+        unsaved.points[points[i]] = True
+        unsaved.keyframes[links.keyframe[rows[i]]] = True
+        linked += link_one(points[i], rows[i], links, row_right_px, counts)
     return linked
 
 
 @njit(nogil=True, cache=True)
-def unlink(rows: I64, links: Links, row_right_px: F32, counts: Counts) -> None:
+def link_one(point: int, row: int, links: Links, row_right_px: F32, counts: Counts) -> bool:
+    """Link a row to a point; return whether neither the row has one already, nor its keyframe sees the point."""
+    if links.point[row] >= 0:
+        return False
+    other = links.first_row[point]
+    while other >= 0:
+        if links.keyframe[other] == links.keyframe[row]:
+            return False
+        other = links.next_row[other]
+    links.point[row] = point
+    links.next_row[row] = links.first_row[point]
+    links.first_row[point] = row
+    counts.n_observations[point] += 2 if row_right_px[row] >= 0 else 1
+    counts.n_keyframes[point] += 1
+    return True
+
+
+@njit(nogil=True, cache=True)
+def unlink(rows: I64, links: Links, row_right_px: F32, counts: Counts, unsaved: Unsaved) -> None:
     """Remove the link of each row."""
-    row_point, row_next, _, first_row = links
+    row_point, row_next, row_keyframe, first_row = links
     n_observations, n_keyframes = counts
     for i in range(len(rows)):
         row = rows[i]
         point = row_point[row]
         if point < 0:
             continue
-        if first_row[point] == row:
+        unsaved.points[point] = True
+        # Other keyframes' rows of the point change too: the next of a list steps up to where one leaves.
+        before, other = -1, first_row[point]
+        while other >= 0:
+            unsaved.keyframes[row_keyframe[other]] = True
+            if row_next[other] == row:
+                before = other
+            other = row_next[other]
+        if before < 0:
             first_row[point] = row_next[row]
         else:
-            other = first_row[point]
-            while row_next[other] != row:
-                other = row_next[other]
-            row_next[other] = row_next[row]
+            row_next[before] = row_next[row]
         row_point[row] = -1
         row_next[row] = -1
         n_observations[point] -= 2 if row_right_px[row] >= 0 else 1
         n_keyframes[point] -= 1
+
+
+@njit(nogil=True, cache=True)
+def relink(old: I64, new: I64, links: Links, row_right_px: F32, counts: Counts, unsaved: Unsaved) -> None:
+    """Move the links of old points (N,) to new ones (N,), none of which is an old one, newest first."""
+    for i in range(len(old)):
+        unsaved.points[old[i]] = unsaved.points[new[i]] = True
+        row = links.first_row[old[i]]
+        links.first_row[old[i]] = -1
+        counts.n_observations[old[i]] = counts.n_keyframes[old[i]] = 0
+        while row >= 0:
+            following = links.next_row[row]
+            unsaved.keyframes[links.keyframe[row]] = True
+            links.point[row] = links.next_row[row] = -1
+            link_one(new[i], row, links, row_right_px, counts)
+            row = following
 
 
 @njit(nogil=True, cache=True)
@@ -149,6 +182,7 @@ def typical_descriptors(points: I32, row_next: I32, first_row: I32, words: U64, 
     """
     rows = np.empty(MAX_DESCRIPTORS, np.int32)
     distances = np.empty((MAX_DESCRIPTORS, MAX_DESCRIPTORS), np.int32)
+    nearest = np.empty(MAX_DESCRIPTORS, np.int32)
     for i in range(len(points)):
         n = 0
         row = first_row[points[i]]
@@ -169,10 +203,30 @@ def typical_descriptors(points: I32, row_next: I32, first_row: I32, words: U64, 
                 distances[b, a] = d
         best = 1 << 30
         for a in range(n):
-            median = np.sort(distances[a, :n])[(n - 1) // 2]
+            median = kth_smallest(distances[a], n, (n - 1) // 2, nearest)
             if median < best:
                 best = median
                 chosen[i] = rows[a]
+
+
+@njit(nogil=True, cache=True)
+def kth_smallest(values: I32, n: int, k: int, smallest: I32) -> int:
+    """Return what stands at place `k` of the first `n` values in order; `smallest` is scratch for more than `k`."""
+    kept = 0
+    for i in range(n):
+        value = values[i]
+        if kept > k:
+            if value >= smallest[k]:
+                continue
+            kept = k
+        at = kept
+        while at > 0 and smallest[at - 1] > value:
+            smallest[at] = smallest[at - 1]
+            at -= 1
+        smallest[at] = value
+        kept += 1
+    found: int = smallest[k]
+    return found
 
 
 @njit(nogil=True, cache=True)

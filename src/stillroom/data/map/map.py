@@ -306,18 +306,9 @@ class Map:
 
     def observe(self, point_ids: Ints, rows: Ints) -> int:
         """Add observations of points (N,) by rows (N,); a keyframe observes a point once. Return their number."""
-        table, points = self.keypoints, self.points
-        points.is_unsaved[point_ids] = True
-        self.keyframes.is_unsaved[table.keyframe[rows]] = True
-        return int(
-            links.link(
-                point_ids.astype(np.int32),
-                rows.astype(np.int64),
-                self.lists,
-                table.right_px,
-                links.Counts(points.n_observations, points.n_keyframes),
-            )
-        )
+        table, counts = self.keypoints, self._counts
+        points, seeing = np.asarray(point_ids, dtype=np.int32), np.asarray(rows, dtype=np.int64)
+        return int(links.link(points, seeing, self.lists, table.right_px, counts, self._unsaved))
 
     def remove_observations(self, rows: Ints) -> None:
         """Remove the observations of rows (N,); points with at most two observations left are removed.
@@ -336,15 +327,13 @@ class Map:
         self.points.is_unsaved[point_ids] = True
 
     def replace_points(self, old_ids: Ints, new_ids: Ints) -> None:
-        """Move the observations of old points (N,) to new ones (N,); the old points are removed."""
-        place, rows = self.observations(old_ids)
-        self._unlink(rows)
-        self.observe(np.asarray(new_ids)[place], rows)
-        np.add.at(self.points.n_visible, new_ids, self.points.n_visible[old_ids])
-        np.add.at(self.points.n_found, new_ids, self.points.n_found[old_ids])
-        self.points.is_alive[old_ids] = False
-        self.points.is_unsaved[old_ids] = True
-        self.points.replaced_by[old_ids] = new_ids
+        """Move the observations of old points (N,) to new ones (N,), which are others; the old points are removed."""
+        points, old, new = self.points, np.asarray(old_ids, dtype=np.int64), np.asarray(new_ids, dtype=np.int64)
+        links.relink(old, new, self.lists, self.keypoints.right_px, self._counts, self._unsaved)
+        np.add.at(points.n_visible, new, points.n_visible[old])
+        np.add.at(points.n_found, new, points.n_found[old])
+        points.is_alive[old] = False
+        points.replaced_by[old] = new
 
     def current_ids(self, point_ids: I32) -> I32:
         """Return the ids that replaced points (N,); −1 for those that were removed."""
@@ -359,7 +348,7 @@ class Map:
     def observations(self, point_ids: Ints) -> tuple[I32, I32]:
         """Return all observations of points (N,): place in `point_ids` (M,) and keypoint row (M,)."""
         place, rows = links.gather(
-            point_ids.astype(np.int32),
+            np.asarray(point_ids, dtype=np.int32),
             self.keypoints.next_row,
             self.points.first_row,
             self.points.n_keyframes,
@@ -368,12 +357,12 @@ class Map:
 
     def oldest_observations(self, point_ids: Ints) -> I32:
         """Return the keypoint row (N,) that saw each point (N,) first; −1 for a point that nothing sees."""
-        rows: I32 = links.oldest_rows(point_ids.astype(np.int32), self.keypoints.next_row, self.points.first_row)
+        rows: I32 = links.oldest_rows(np.asarray(point_ids, dtype=np.int32), self.keypoints.next_row, self.points.first_row)
         return rows
 
     def refresh(self, point_ids: Ints) -> None:
         """Choose typical descriptors and viewing geometry of points (N,) again, after their views changed."""
-        ids = point_ids.astype(np.int32)
+        ids = np.asarray(point_ids, dtype=np.int32)
         table, points = self.keypoints, self.points
         chosen = np.empty(len(ids), dtype=np.int32)
         links.typical_descriptors(ids, table.next_row, points.first_row, words(table.descriptors), chosen)
@@ -386,7 +375,7 @@ class Map:
         points = self.points
         points.is_unsaved[point_ids] = True
         links.viewing_geometry(
-            point_ids.astype(np.int32),
+            np.asarray(point_ids, dtype=np.int32),
             self.lists,
             self.keypoints.octave,
             self.keyframes.T_world_cam,
@@ -394,16 +383,14 @@ class Map:
             links.Viewing(points.position_m, points.normal, points.min_distance_m, points.max_distance_m),
         )
 
+    @property
+    def _counts(self) -> links.Counts:
+        return links.Counts(self.points.n_observations, self.points.n_keyframes)
+
+    @property
+    def _unsaved(self) -> links.Unsaved:
+        return links.Unsaved(self.points.is_unsaved, self.keyframes.is_unsaved)
+
     def _unlink(self, rows: Ints) -> None:
-        table, points = self.keypoints, self.points
-        losing = table.point[rows]
-        losing = losing[losing >= 0]
-        points.is_unsaved[losing] = True
-        # Other keyframes' rows of these points change too: the next of a list steps up to where one leaves.
-        self.keyframes.is_unsaved[table.keyframe[self.observations(losing)[1]]] = True
-        links.unlink(
-            rows.astype(np.int64),
-            self.lists,
-            table.right_px,
-            links.Counts(points.n_observations, points.n_keyframes),
-        )
+        losing, right_px = np.asarray(rows, dtype=np.int64), self.keypoints.right_px
+        links.unlink(losing, self.lists, right_px, self._counts, self._unsaved)

@@ -4,7 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from stillroom.features.orb import BORDER_PX, Corners, detect, spread
+from stillroom.features.corners import Corners, detect, spread
+from stillroom.features.orb import BORDER_PX
 
 SIZES = [(320, 240), (267, 200), (222, 167)]
 QUOTAS = [120, 80, 50]

@@ -9,6 +9,7 @@ from stillroom.features.orb import (
     N_TURNS,
     PATCH_RADIUS_PX,
     describe,
+    disc_weights,
     orientations,
     patch_half_widths,
     turned_offsets,
@@ -39,7 +40,7 @@ def angles_by_numpy(image: np.ndarray, px: np.ndarray) -> np.ndarray:
 
 def own_angles(image: np.ndarray, px: np.ndarray) -> np.ndarray:
     angle_rad = np.zeros(len(px), np.float32)
-    orientations(image, px.astype(np.float32), patch_half_widths(), angle_rad)
+    orientations(image, px.astype(np.float32), disc_weights(), angle_rad)
     return angle_rad
 
 

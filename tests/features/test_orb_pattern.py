@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from stillroom.features import orb as orb_pattern_module
-from stillroom.features.orb import REACH_PX, describe, orb_pattern, orientations, patch_half_widths, turned_offsets
+from stillroom.features.orb import REACH_PX, describe, disc_weights, orb_pattern, orientations, turned_offsets
 
 
 def textured(seed: int = 0) -> np.ndarray:
@@ -74,7 +74,7 @@ def test_the_kernel_with_its_own_angles_is_close_to_opencv(
     image = textured(1)
     px, _, descriptors = opencv_features(image)
     own_rad, own = np.zeros(len(px), np.float32), np.zeros((len(px), 32), np.uint8)
-    orientations(image, px, patch_half_widths(), own_rad)
+    orientations(image, px, disc_weights(), own_rad)
     describe(blur(image), px, own_rad, turned_offsets(orb_pattern(), image.shape[1]), own)
     assert agreement(own, descriptors) > least
 

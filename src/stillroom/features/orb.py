@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 from functools import lru_cache
-from operator import attrgetter
 
 import cv2
 import numpy as np
@@ -11,6 +10,7 @@ from stillroom.bounds import bounded
 from stillroom.compiled import njit
 from stillroom.data.frame import Frame, Keypoints, ScaleLevels
 from stillroom.data.image import RgbdImage
+from stillroom.features.corners import Corners, detect, spread
 from stillroom.geometry.arrays import F32, F64, I32, I64, U8, Bool, Floats
 from stillroom.geometry.camera import Camera
 from stillroom.geometry.pixels import values_at
@@ -31,95 +31,6 @@ _AGREEMENT = 0.97
 """Not 1: OpenCV's blur inside ORB and its public one differ by a rounding now and then."""
 
 
-# FAST corners, spread evenly over every level of the pyramid.
-
-
-_response = attrgetter("response")
-
-
-@dataclass(frozen=True)
-class Corners:
-    """C corners on the levels of a pyramid, level after level.
-
-    Attributes:
-        px: Position on the corner's own level (C, 2) float32 [px], whole numbers.
-        score: FAST score (C,) float32: the largest threshold at which it still is a corner.
-        level: Pyramid level (C,) int32.
-    """
-
-    px: F32
-    score: F32
-    level: I32
-
-
-def detect(levels: list[U8], threshold: int, border_px: int) -> Corners:
-    """Find FAST corners with non-maximum suppression on each level, at least `border_px` from its edges."""
-    fast = cv2.FastFeatureDetector.create(threshold, nonmaxSuppression=True)
-    px, score, level = [], [], []
-    for number, image in enumerate(levels):
-        inner = image[border_px - 3 : image.shape[0] - border_px + 3, border_px - 3 : image.shape[1] - border_px + 3]
-        found = fast.detect(inner) if min(inner.shape) > 6 else ()
-        px.append(np.asarray(cv2.KeyPoint.convert(found), dtype=np.float32).reshape(-1, 2) + (border_px - 3))
-        score.append(np.fromiter(map(_response, found), np.float32, len(found)))
-        level.append(np.full(len(found), number, dtype=np.int32))
-    return Corners(np.concatenate(px).astype(np.float32), np.concatenate(score), np.concatenate(level))
-
-
-def spread(corners: Corners, sizes: list[tuple[int, int]], quotas: list[int], strong: float, seed: int) -> I64:
-    """Choose corners evenly: the best of every cell, then every cell's second best, until a level's quota is full.
-
-    Each level is cut into about as many square cells as it may keep corners. Where a cell has a strong corner its weak
-    ones are left out (ORB-SLAM2's two thresholds). Corners of equal score, of which there are many, are ordered by a
-    hash of place and seed: runs with different seeds sample how much the result depends on such ties.
-
-    Args:
-        corners: What was found.
-        sizes: Width and height of each level [px].
-        quotas: Corners to keep on each level.
-        strong: Score from which a corner counts as strong.
-        seed: Orders corners of equal score.
-
-    Returns:
-        Indices of the chosen corners (K,), level after level, best first.
-    """
-    if len(corners.level) == 0:
-        return np.zeros(0, dtype=np.int64)
-    cell = _cells(corners, sizes, quotas)
-    merit = (255 - np.clip(corners.score, 0, 255).astype(np.int64)) << 16 | _hash16(corners.px, seed)
-    order = np.argsort(cell << 24 | merit, kind="stable")
-    cell_sorted = cell[order]
-    first = np.flatnonzero(np.r_[True, cell_sorted[1:] != cell_sorted[:-1]])
-    sizes_of_cells = np.diff(np.r_[first, len(order)])
-    rank = np.arange(len(order)) - np.repeat(first, sizes_of_cells)
-    best = np.repeat(corners.score[order[first]], sizes_of_cells)
-    fit = (best < strong) | (corners.score[order] >= strong)
-    order, rank = order[fit], rank[fit]
-    level = corners.level[order].astype(np.int64)
-    turn = level << 44 | np.minimum(rank, (1 << 19) - 1) << 24 | merit[order]
-    by_turn = np.argsort(turn, kind="stable")
-    starts = np.searchsorted(level[by_turn], np.arange(len(quotas)))
-    place = np.arange(len(by_turn)) - starts[level[by_turn]]
-    return order[by_turn[place < np.asarray(quotas)[level[by_turn]]]]
-
-
-def _cells(corners: Corners, sizes: list[tuple[int, int]], quotas: list[int]) -> I64:
-    """Return a number for each corner's cell (C,), different over all levels and increasing with the level."""
-    width_px, height_px = (np.array(side, dtype=np.float64) for side in zip(*sizes, strict=True))
-    side_px = np.sqrt(width_px * height_px / np.maximum(1, quotas))
-    per_row = np.ceil(width_px / side_px).astype(np.int64) + 1
-    per_level = per_row * (np.ceil(height_px / side_px).astype(np.int64) + 1)
-    offset = np.concatenate(([0], np.cumsum(per_level)[:-1]))
-    column = (corners.px[:, 0] / side_px[corners.level]).astype(np.int64)
-    row = (corners.px[:, 1] / side_px[corners.level]).astype(np.int64)
-    return np.asarray(offset[corners.level] + row * per_row[corners.level] + column, dtype=np.int64)
-
-
-def _hash16(px: Floats, seed: int) -> I64:
-    x, y = px[:, 0].astype(np.int64), px[:, 1].astype(np.int64)
-    mixed = (x * 73856093) ^ (y * 19349663) ^ ((seed + 1) * 83492791)
-    return np.asarray((mixed ^ (mixed >> 13)) & 0xFFFF, dtype=np.int64)
-
-
 # Orientation and ORB descriptor of corners, on one level of the pyramid.
 
 
@@ -135,23 +46,33 @@ def patch_half_widths() -> I32:
     return np.where(rows * np.sqrt(2.0) > PATCH_RADIUS_PX, mirrored, widths).astype(np.int32)
 
 
-@njit(nogil=True, cache=True)
-def orientations(image: U8, px: F32, half_widths: I32, angle_rad: F32) -> None:
+def disc_weights() -> tuple[F32, F32]:
+    """Return what the pixels of the patch count in its moments along x and along y, (31, 32) each; 0 outside the disc.
+
+    A column more than the patch has makes whole vectors.
+    """
+    away = np.arange(-PATCH_RADIUS_PX, PATCH_RADIUS_PX + 2, dtype=np.float32)
+    rows = away[:-1, None]
+    inside = np.abs(away) <= patch_half_widths()[np.abs(rows).astype(np.int64)]
+    return np.where(inside, away, np.float32(0.0)), np.where(inside, rows, np.float32(0.0))
+
+
+# The order of the sum is free because float32 holds every partial sum of whole numbers here without rounding.
+@njit(nogil=True, cache=True, fastmath={"reassoc", "nsz", "contract"})
+def orientations(image: U8, px: F32, weights: tuple[F32, F32], angle_rad: F32) -> None:
     """Fill the angle (N,) from keypoint to the centroid of brightness in its disc (Rublee et al. 2011, 3.2)."""
-    radius = len(half_widths) - 1
+    along_x, along_y = weights
+    # Unsigned indices are not asked whether they count from the end, which makes vectors of the inner loop.
+    n_rows, n_columns = np.uint64(along_x.shape[0]), np.uint64(along_x.shape[1])
     for i in range(len(px)):
-        cx, cy = int(px[i, 0]), int(px[i, 1])
-        m10, m01 = 0, 0
-        for dx in range(-radius, radius + 1):
-            m10 += dx * int(image[cy, cx + dx])
-        for dy in range(1, radius + 1):
-            total = 0
-            for dx in range(-half_widths[dy], half_widths[dy] + 1):
-                below, above = int(image[cy + dy, cx + dx]), int(image[cy - dy, cx + dx])
-                total += below - above
-                m10 += dx * (below + above)
-            m01 += dy * total
-        angle_rad[i] = np.arctan2(np.float32(m01), np.float32(m10))
+        left, top = np.uint64(px[i, 0] - PATCH_RADIUS_PX), np.uint64(px[i, 1] - PATCH_RADIUS_PX)
+        m10, m01 = np.float32(0.0), np.float32(0.0)
+        for row in range(n_rows):
+            for column in range(n_columns):
+                value = np.float32(image[top + row, left + column])
+                m10 += along_x[row, column] * value
+                m01 += along_y[row, column] * value
+        angle_rad[i] = np.arctan2(m01, m10)
 
 
 def turned_offsets(pattern: I32, row_px: int) -> I32:
@@ -287,7 +208,7 @@ class OrbExtractor:
         """Prepare quotas and tables."""
         self.config, self.camera, self.seed = config, camera, seed
         self.scales = config.scales
-        self._half_widths = patch_half_widths()
+        self._disc = disc_weights()
         shares = self.scales.factors**-1.0
         self._quotas = [int(q) for q in np.rint(config.n_features * shares / shares.sum())]
         self._sizes = [(max(1, round(camera.width / f)), max(1, round(camera.height / f))) for f in self.scales.factors]
@@ -332,7 +253,7 @@ class OrbExtractor:
             px = corners.px[chosen[own]]
             # Two 5×5 boxes have the variance of OpenCV's Gaussian (σ = 2 px) at two thirds of its cost.
             blurred = np.asarray(cv2.blur(cv2.blur(image, (5, 5)), (5, 5)), dtype=np.uint8)
-            orientations(image, px, self._half_widths, angle_rad[own])
+            orientations(image, px, self._disc, angle_rad[own])
             describe(blurred, px, angle_rad[own], self._offsets[number], descriptors[own])
         return angle_rad, descriptors
 

@@ -144,7 +144,7 @@ def test_a_results_folder_lies_in_its_root(name: str, inside: Path) -> None:
 @pytest.mark.parametrize("said", ["../../outside", "/outside", "..", "a/b", "\0", "\udcff"])
 def test_latest_is_beside_its_note(said: str, inside: Path) -> None:
     (inside / "latest.txt").write_bytes(said.encode("utf-8", "surrogateescape"))
-    with pytest.raises(StillroomError, match="no folder beside it|no such results folder"):
+    with pytest.raises(StillroomError, match=r"no folder beside it|no such results folder"):
         evaluate_folder(inside / "latest")
 
 

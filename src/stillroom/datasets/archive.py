@@ -44,7 +44,15 @@ UNREADABLE = (
 )
 ON_WINDOWS = os.name == "nt"
 DEVICES = frozenset(
-    ("con", "prn", "aux", "nul", "conin$", "conout$", *(f"{port}{n}" for port in ("com", "lpt") for n in "123456789¹²³"))
+    (
+        "con",
+        "prn",
+        "aux",
+        "nul",
+        "conin$",
+        "conout$",
+        *(f"{port}{n}" for port in ("com", "lpt") for n in "123456789¹²³"),
+    )
 )
 """What Windows takes for a device in any folder, whatever the suffix."""
 

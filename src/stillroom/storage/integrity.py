@@ -1,18 +1,26 @@
 """Integrity of a map: every reference exists, and every number is valid."""
 
+import tomllib
 from collections.abc import Iterator
 
 import numpy as np
 
 from stillroom.data.map import Map
 from stillroom.geometry.arrays import F64, I64, Bool, Floats
+from stillroom.storage.schema import StoredMap
 
 RIGID = 1e-6
 """How far a rotation may be from one whose columns are of length 1 and at right angles."""
 
 
+def problems_of(stored: StoredMap) -> Iterator[str]:
+    """Yield what is wrong with what a map file holds. What could make a run crash or hang comes first."""
+    yield from problems_of_map(stored.world)
+    yield from _problems_of_rest(stored)
+
+
 def problems_of_map(world: Map) -> Iterator[str]:
-    """Yield what is wrong with a map. What could make a run crash or hang comes first."""
+    """Yield what is wrong with a map itself."""
     yield from _problems_of_keyframes(world)
     yield from _problems_of_links(world)
     yield from _problems_of_points(world)
@@ -26,6 +34,8 @@ def _problems_of_keyframes(world: Map) -> Iterator[str]:
     yield from (f"keyframe {k} has the parent {table.parent[k]}, which does not exist" for k in wild)
     if len(wild) == 0:
         yield from (f"culled keyframe {k} has no ancestor that is alive" for k in _hanging_nowhere(world))
+    strange = np.flatnonzero((table.submap < 0) | (table.submap >= n))  # there are no more sub-maps than keyframes
+    yield from (f"keyframe {k} is of sub-map {table.submap[k]}, which does not exist" for k in strange)
     poses = np.where(table.is_alive[:, None, None], table.T_world_cam, table.T_parent_cam)
     yield from (f"the pose of keyframe {k} is not rigid" for k in np.flatnonzero(~are_rigid(poses)))
     yield from (f"the time of keyframe {k} is not finite" for k in _not_finite(table.timestamp_s))
@@ -130,3 +140,27 @@ def are_rigid(poses: F64) -> Bool:
         off = np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max(axis=(1, 2), initial=0.0)
         good = np.isfinite(poses).all(axis=(1, 2)) & (off < RIGID) & (np.linalg.det(R) > 0)
     return np.asarray(good & (poses[:, 3] == (0.0, 0.0, 0.0, 1.0)).all(axis=1))
+
+
+def _problems_of_rest(stored: StoredMap) -> Iterator[str]:
+    n_keyframes, first = len(stored.world.keyframes), 0
+    for number, session in enumerate(stored.sessions):
+        if not first <= session.first_keyframe <= n_keyframes:
+            yield f"session {number} begins at keyframe {session.first_keyframe}, out of order"
+        first = session.first_keyframe
+        try:
+            tomllib.loads(session.config)
+        except tomllib.TOMLDecodeError as error:
+            yield f"the config of session {number} is no TOML: {error}"
+    for frame in stored.frames:
+        where = f"frame {frame.image_index} of session {frame.session}"
+        if not 0 <= frame.session < len(stored.sessions):
+            yield f"{where} belongs to no session"
+        if not 0 <= frame.reference_keyframe < n_keyframes:
+            yield f"{where} refers to keyframe {frame.reference_keyframe}, which does not exist"
+        if not np.isfinite(frame.timestamp_s):
+            yield f"the time of {where} is not finite"
+    poses = np.array([frame.T_reference_cam for frame in stored.frames]).reshape(-1, 4, 4)
+    yield from (
+        f"the pose of frame {stored.frames[i].image_index} is not rigid" for i in np.flatnonzero(~are_rigid(poses))
+    )

@@ -1,9 +1,11 @@
 """Depth and colours of keyframes, if wanted: a dense map can be made from them later."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from stillroom.data.image import RgbdImage
 from stillroom.errors import MapError
@@ -52,10 +54,17 @@ def restore(pictures: Pictures, image_index: int, timestamp_s: float, depth_fact
     Raises:
         MapError: The pictures are damaged.
     """
-    units = cv2.imdecode(np.frombuffer(pictures.depth_png, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
-    bgr = cv2.imdecode(np.frombuffer(pictures.rgb_jpeg, dtype=np.uint8), cv2.IMREAD_COLOR)
+    units, bgr = _decoded(pictures.depth_png, cv2.IMREAD_UNCHANGED), _decoded(pictures.rgb_jpeg, cv2.IMREAD_COLOR)
     if units is None or bgr is None or units.shape != bgr.shape[:2]:
         raise MapError(f"the images of keyframe {pictures.keyframe} cannot be decoded; the map is damaged")
     rgb: U8 = np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), dtype=np.uint8)
     depth_m = (units.astype(np.float64) / depth_factor).astype(np.float32)
     return RgbdImage(timestamp_s, rgb, depth_m, image_index)
+
+
+def _decoded(encoded: bytes, flags: int) -> NDArray[Any] | None:
+    """Return the pixels of an image; None where it cannot be decoded."""
+    try:
+        return cv2.imdecode(np.frombuffer(encoded, dtype=np.uint8), flags) if encoded else None
+    except cv2.error:  # of a size that OpenCV refuses
+        return None

@@ -12,7 +12,7 @@ from stillroom.data.image import RgbdImage
 from stillroom.data.map import Map
 from stillroom.errors import CalibrationError, MapError
 from stillroom.geometry.camera import Camera
-from stillroom.storage.integrity import problems_of_map
+from stillroom.storage.integrity import problems_of
 from stillroom.storage.opening import reading
 from stillroom.storage.pictures import Pictures, restore
 from stillroom.storage.schema import (
@@ -25,7 +25,12 @@ from stillroom.storage.schema import (
     Packed,
     Session,
     StoredMap,
+    column_types,
 )
+
+IMAGES = "images"
+MOST_LEVELS, MOST_KEYPOINTS, MOST_POINTS_A_KEYPOINT = 255, 1_000_000, 100
+"""Far more than any run makes; a damaged number must not make room for what is not there."""
 
 
 def load_map(path: Path, whole: bool = True) -> StoredMap:
@@ -46,7 +51,7 @@ def load_map(path: Path, whole: bool = True) -> StoredMap:
         except (TypeError, ValueError, OverflowError) as error:  # a number where an array should be, and the like
             raise MapError(f"{path}: is damaged ({error}); 'stillroom map check {path}' says more") from error
     # Dangling references would crash a run, or hang it.
-    for problem in problems_of_map(stored.world) if whole else ():
+    for problem in problems_of(stored) if whole else ():
         raise MapError(f"{path}: is damaged: {problem}; 'stillroom map check {path}' says more")
     return stored
 
@@ -58,6 +63,7 @@ def keyframe_images(path: Path) -> Iterator[tuple[int, RgbdImage]]:
         MapError: As for `load_map`.
     """
     with reading(path) as database:
+        _require_types(database, IMAGES)
         factor = float(database.execute("SELECT depth_factor FROM map").fetchone()[0])
         rows = database.execute(
             "SELECT keyframe, depth_png, rgb_jpeg, image_index, timestamp_s FROM images JOIN keyframes USING (keyframe)"
@@ -71,7 +77,12 @@ def keyframe_images(path: Path) -> Iterator[tuple[int, RgbdImage]]:
 
 
 def _read(database: sqlite3.Connection) -> StoredMap:
+    for table in column_types():
+        if table != IMAGES:  # they are looked at when they are read
+            _require_types(database, table)
     head = _head(database)
+    if not (1 <= head["n_levels"] <= MOST_LEVELS and 1.0 < head["scale_factor"] < np.inf):
+        raise MapError(f"{head['n_levels']} pyramid levels of {head['scale_factor']} cannot be; the map is damaged")
     world = Map(ScaleLevels(head["scale_factor"], head["n_levels"]))
     _read_keyframes(database, world)
     _read_points(database, world, head["n_points"])
@@ -92,6 +103,18 @@ def _read(database: sqlite3.Connection) -> StoredMap:
         tuple(Session(*row) for row in sessions),
         tuple(_frame(row) for row in frames),
     )
+
+
+def _require_types(database: sqlite3.Connection, table: str) -> None:
+    """Refuse values of another type than their column's: SQLite itself keeps any value in any column."""
+    types = column_types()[table]
+    found = database.execute(
+        f"SELECT {', '.join(f'typeof({name})' for name in types)} FROM {table}"
+        f" WHERE {' OR '.join(f'typeof({name}) <> {kind!r}' for name, kind in types.items())} LIMIT 1"
+    ).fetchone()
+    for (name, kind), is_kind in zip(types.items(), found or (), strict=found is not None):
+        if is_kind != kind:
+            raise MapError(f"{name} in the table {table} is {is_kind}, not {kind}; the map is damaged")
 
 
 def _frame(row: tuple[int, int, float, int, bytes]) -> FrameNote:
@@ -129,6 +152,8 @@ def _read_keyframes(database: sqlite3.Connection, world: Map) -> None:
     )
     if ids != tuple(range(len(ids))):
         raise MapError("keyframes are missing; the map is damaged")
+    if not (min(n_rows) >= 0 and max(n_rows) <= MOST_KEYPOINTS):
+        raise MapError(f"a keyframe counts {max(n_rows)} keypoints; the map is damaged")
     first_row = np.cumsum((0, *n_rows))
     world.keyframes.append(
         len(ids),
@@ -167,12 +192,14 @@ def _fill(database: sqlite3.Connection, world: Map, table: str, columns: dict[st
 def _read_points(database: sqlite3.Connection, world: Map, n_points: int) -> None:
     blocks = database.execute("SELECT * FROM points ORDER BY block").fetchall()
     points = world.points
+    if not 0 <= n_points <= MOST_POINTS_A_KEYPOINT * len(world.keypoints):
+        raise MapError(f"{n_points} points of {len(world.keypoints)} keypoints cannot be; the map is damaged")
     points.append(n_points, is_alive=False)
     if not blocks:
         return
     id_blobs, *columns = (b"".join(blobs) for blobs in list(zip(*blocks, strict=True))[1:])
     ids = POINT_IDS.unpack(id_blobs, len(id_blobs) // 4, "the ids of points")
-    if np.any(np.diff(ids) <= 0) or ids[0] < 0 or ids[-1] >= n_points:
+    if len(ids) and (np.any(np.diff(ids) <= 0) or ids[0] < 0 or ids[-1] >= n_points):
         raise MapError("the ids of points are out of order; the map is damaged")
     points.is_alive[ids] = True
     for (name, packed), blob in zip(POINTS.items(), columns, strict=True):

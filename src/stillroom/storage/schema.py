@@ -1,5 +1,8 @@
 """The tables of a map file. docs/map-file.md describes them; a change here needs a new `VERSION`."""
 
+import functools
+import sqlite3
+from contextlib import closing
 from dataclasses import dataclass
 from typing import Any
 
@@ -78,6 +81,16 @@ CREATE TABLE images (
 );
 """
 POSE = np.dtype("<f8")
+
+
+@functools.cache
+def column_types() -> dict[str, dict[str, str]]:
+    """Return, for each table, its columns and what SQLite's `typeof` must say of all their values."""
+    with closing(sqlite3.connect(":memory:")) as database:
+        database.executescript(TABLES)
+        names = [name for (name,) in database.execute("SELECT name FROM sqlite_master WHERE type = 'table'")]
+        rows = {name: database.execute(f"PRAGMA table_info({name})").fetchall() for name in names}
+    return {name: {row[1]: row[2].lower() for row in columns} for name, columns in rows.items()}
 
 
 # The contents of a map file in addition to the tables of the map itself.

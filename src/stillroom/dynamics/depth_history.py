@@ -65,6 +65,7 @@ class DepthHistory:
         length = int(np.ceil(max(config.ages_s) / config.interval_s)) + 2
         self._images: deque[_Remembered] = deque(maxlen=length)
         self._asked: list[tuple[_Remembered, DepthRange]] = []
+        self._asked_at_s: float | None = None
 
     def remember(self, frame: Frame, T_cam_world: F64) -> None:
         """Store the frame's depth image, if the last stored one is old enough."""
@@ -73,12 +74,14 @@ class DepthHistory:
             return
         small = frame.image.depth_m[::STRIDE, ::STRIDE].copy()
         self._images.append(_Remembered(stamp, T_cam_world.copy(), small))
+        self._asked_at_s = None
 
     def follow(self, T_new_old: F64) -> None:
         """Move the stored poses by a motion (4, 4) of the world's coordinates."""
         T_old_new = se3.inverse(T_new_old)
         moved = [replace(image, T_cam_world=image.T_cam_world @ T_old_new) for image in self._images]
         self._images = deque(moved, maxlen=self._images.maxlen)
+        self._asked_at_s = None
 
     def evidence(self, camera: Camera, points_world_m: F64, now_s: float) -> Evidence:
         """Compare points (N, 3) [m, world] with earlier images."""
@@ -92,14 +95,15 @@ class DepthHistory:
 
     def _nearest(self, now_s: float) -> list[tuple[_Remembered, "DepthRange"]]:
         """Return the stored images nearest to the configured ages, each once, with the ranges around their pixels."""
-        if not self._images:
-            return []
+        if not self._images or now_s == self._asked_at_s:
+            return self._asked
         ages_s = now_s - np.array([image.timestamp_s for image in self._images])
         wanted = {int(np.argmin(np.abs(ages_s - age))) for age in self.config.ages_s}
         chosen = [self._images[i] for i in sorted(wanted) if ages_s[i] >= self.config.interval_s / 2]
         # Only those that are asked have ranges, so that memory does not grow; most were asked about the image before.
         known = {id(image): around for image, around in self._asked}
         self._asked = [(image, known.get(id(image)) or depth_ranges(image.depth_m)) for image in chosen]
+        self._asked_at_s = now_s
         return self._asked
 
 

@@ -64,7 +64,8 @@ class DepthHistory:
         self.config = config
         length = int(np.ceil(max(config.ages_s) / config.interval_s)) + 2
         self._images: deque[_Remembered] = deque(maxlen=length)
-        self._chosen: tuple[float, list[_Remembered]] | None = None
+        self._asked: list[tuple[_Remembered, DepthRange]] = []
+        self._asked_at_s: float | None = None
 
     def remember(self, frame: Frame, T_cam_world: F64) -> None:
         """Store the frame's depth image, if the last stored one is old enough."""
@@ -73,36 +74,37 @@ class DepthHistory:
             return
         small = frame.image.depth_m[::STRIDE, ::STRIDE].copy()
         self._images.append(_Remembered(stamp, T_cam_world.copy(), small))
-        self._chosen = None
+        self._asked_at_s = None
 
     def follow(self, T_new_old: F64) -> None:
         """Move the stored poses by a motion (4, 4) of the world's coordinates."""
         T_old_new = se3.inverse(T_new_old)
         moved = [replace(image, T_cam_world=image.T_cam_world @ T_old_new) for image in self._images]
         self._images = deque(moved, maxlen=self._images.maxlen)
-        self._chosen = None
+        self._asked_at_s = None
 
     def evidence(self, camera: Camera, points_world_m: F64, now_s: float) -> Evidence:
         """Compare points (N, 3) [m, world] with earlier images."""
         agrees = np.zeros(len(points_world_m), dtype=np.int64)
         empty = np.zeros(len(points_world_m), dtype=np.int64)
         tolerances = self.config.tolerance_m, self.config.tolerance_share
-        for image in self._asked(now_s):
-            ask(SmallView(image.depth_m, image.T_cam_world, camera.lens), points_world_m, *tolerances, agrees, empty)
+        for image, around in self._nearest(now_s):
+            view = SmallView(image.depth_m, image.T_cam_world, camera.lens)
+            ask_ranges(view, around, points_world_m, *tolerances, agrees, empty)
         return Evidence(agrees, empty)
 
-    def _asked(self, now_s: float) -> list[_Remembered]:
-        """Return the stored images nearest to the configured ages, each once; the same list for the same time."""
-        if self._chosen is None or self._chosen[0] != now_s:
-            self._chosen = (now_s, self._nearest(now_s))
-        return self._chosen[1]
-
-    def _nearest(self, now_s: float) -> list[_Remembered]:
-        if not self._images:
-            return []
-        ages_s = np.array([now_s - image.timestamp_s for image in self._images])
+    def _nearest(self, now_s: float) -> list[tuple[_Remembered, "DepthRange"]]:
+        """Return the stored images nearest to the configured ages, each once, with the ranges around their pixels."""
+        if not self._images or now_s == self._asked_at_s:
+            return self._asked
+        ages_s = now_s - np.array([image.timestamp_s for image in self._images])
         wanted = {int(np.argmin(np.abs(ages_s - age))) for age in self.config.ages_s}
-        return [self._images[i] for i in sorted(wanted) if ages_s[i] >= self.config.interval_s / 2]
+        chosen = [self._images[i] for i in sorted(wanted) if ages_s[i] >= self.config.interval_s / 2]
+        # Only those that are asked have ranges, so that memory does not grow; most were asked about the image before.
+        known = {id(image): around for image, around in self._asked}
+        self._asked = [(image, known.get(id(image)) or depth_ranges(image.depth_m)) for image in chosen]
+        self._asked_at_s = now_s
+        return self._asked
 
 
 class SmallView(NamedTuple):
@@ -117,6 +119,36 @@ class SmallView(NamedTuple):
     depth_m: F32
     T_cam_world: F64
     lens: Lens
+
+
+class DepthRange(NamedTuple):
+    """The known depths of each pixel of a small depth image and its eight neighbours.
+
+    Attributes:
+        nearest: The smallest (h, w) [m]; infinite where none is known, −infinite where one is not a number.
+        farthest: The largest (h, w) [m]; −infinite where none is known. Neither is set on the border.
+    """
+
+    nearest: F32
+    farthest: F32
+
+
+@njit(nogil=True, cache=True)
+def depth_ranges(depth_m: F32) -> DepthRange:
+    """Return the ranges around the pixels of a small depth image (h, w) [m]."""
+    nearest, farthest = np.empty_like(depth_m), np.empty_like(depth_m)
+    for row in range(1, depth_m.shape[0] - 1):
+        for column in range(1, depth_m.shape[1] - 1):
+            low, high = np.float32(np.inf), np.float32(-np.inf)
+            for dy in range(-1, 2):
+                for dx in range(-1, 2):
+                    seen = depth_m[row + dy, column + dx]
+                    if seen > 0.0:
+                        low, high = min(low, seen), max(high, seen)
+                    elif np.isnan(seen):
+                        low = np.float32(-np.inf)
+            nearest[row, column], farthest[row, column] = low, high
+    return DepthRange(nearest, farthest)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -149,14 +181,57 @@ def ask(
         column, row = int(u / STRIDE + 0.5), int(v / STRIDE + 0.5)
         if row >= last_row or column >= last_column:
             continue
+        there, behind = compare(depth_m, row, column, z, max(tolerance_m, tolerance_share * z))
+        agrees[i] += there
+        empty[i] += behind
+
+
+# In line, for a call that passes arrays counts references, which takes longer than the work.
+@njit(nogil=True, cache=True, inline="always")
+def compare(depth_m: F32, row: int, column: int, z: float, tolerance: float) -> tuple[bool, bool]:
+    """Return whether a pixel or a neighbour has a depth within a tolerance of z [m], and whether all lie behind."""
+    n_known, n_there, n_behind = 0, 0, 0
+    for dy in range(-1, 2):
+        for dx in range(-1, 2):
+            seen = depth_m[row + dy, column + dx]
+            known = not seen <= 0.0
+            n_known += known
+            n_there += known & (abs(seen - z) <= tolerance)
+            n_behind += known & (seen > z + tolerance)
+    return n_there > 0, n_known > 0 and n_behind == n_known
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def ask_ranges(
+    view: SmallView,
+    around: DepthRange,
+    points_world_m: F64,
+    tolerance_m: float,
+    tolerance_share: float,
+    agrees: I64,
+    empty: I64,
+) -> None:
+    """Do what `ask` does, by the ranges around the view's pixels; neighbours are read only where z is in between."""
+    depth_m, T, lens = view
+    nearest, farthest = around
+    last_row, last_column = depth_m.shape[0] - 1, depth_m.shape[1] - 1
+    for i in range(len(points_world_m)):
+        X, Y, Z = points_world_m[i, 0], points_world_m[i, 1], points_world_m[i, 2]
+        z = T[2, 0] * X + T[2, 1] * Y + T[2, 2] * Z + T[2, 3]
+        if z <= 0.1:
+            continue
+        x = (T[0, 0] * X + T[0, 1] * Y + T[0, 2] * Z + T[0, 3]) / z
+        y = (T[1, 0] * X + T[1, 1] * Y + T[1, 2] * Z + T[1, 3]) / z
+        u, v = distorted(lens, x, y)
+        if not (u >= STRIDE and v >= STRIDE and u < STRIDE * 10000 and v < STRIDE * 10000):
+            continue
+        column, row = int(u / STRIDE + 0.5), int(v / STRIDE + 0.5)
+        if row >= last_row or column >= last_column:
+            continue
         tolerance = max(tolerance_m, tolerance_share * z)
-        n_known, n_behind, n_there = 0, 0, 0
-        for dy in range(-1, 2):
-            for dx in range(-1, 2):
-                seen = depth_m[row + dy, column + dx]
-                known = not seen <= 0.0
-                n_known += known
-                n_there += known & (abs(seen - z) <= tolerance)
-                n_behind += known & (seen > z + tolerance)
-        agrees[i] += n_there > 0
-        empty[i] += (n_known > 0) & (n_behind == n_known)
+        low, high = nearest[row, column], farthest[row, column]
+        there = abs(low - z) <= tolerance or abs(high - z) <= tolerance
+        if not there and low < z < high:
+            there, _ = compare(depth_m, row, column, z, tolerance)
+        agrees[i] += there
+        empty[i] += low > z + tolerance and high > 0.0

@@ -16,7 +16,6 @@ NO_BOX = -1
 BIN_M = 0.05
 MANY = 0.6
 NO_SEGMENT = -1
-NO_LABEL = -100000
 
 
 # From labels of a cloud's points to a label image on all pixels.
@@ -101,12 +100,20 @@ def spread_into(
                 is_on = np.int16(low_at[c] < depth_m[r, c]) & np.int16(depth_m[r, c] <= high_at[c])
                 image[r, c] = unknown + is_on * (label_at[c] - unknown)
         at = mixed[:n_mixed]
-        spread_mixed(samples, i0, at, block_of, depth_m[top:bottom], step_m, step_share, image[top:bottom])
+        spread_mixed(samples, i0, at, block_of, depth_m[top:bottom], step_m, step_share, unknown, image[top:bottom])
 
 
 @njit(nogil=True, cache=True)
 def spread_mixed(
-    samples: DepthSamples, i0: int, mixed: I32, block_of: I32, depth_m: F32, step_m: float, step_share: float, image: I16
+    samples: DepthSamples,
+    i0: int,
+    mixed: I32,
+    block_of: I32,
+    depth_m: F32,
+    step_m: float,
+    step_share: float,
+    unknown: int,
+    image: I16,
 ) -> None:
     """Label pixels of some rows (R, W) by the nearest in depth of the four samples around each.
 
@@ -116,8 +123,8 @@ def spread_mixed(
         mixed: Columns of the pixels (C,).
         block_of: Column of samples to the left of each pixel (W,).
         depth_m: Depth of the rows (R, W) [m].
-        step_m, step_share: Largest difference in depth; see `spread_labels`.
-        image: Labels (R, W), written to; unknown before.
+        step_m, step_share, unknown: See `spread_labels`.
+        image: Labels (R, W), written to.
     """
     labels, z = samples.labels, samples.z
     i1, n = min(i0 + 1, z.shape[0] - 1), len(mixed)
@@ -131,7 +138,7 @@ def spread_mixed(
         step[m] = max(step_m, step_share * max(around[0, m], around[1, m], around[2, m], around[3, m]))
     z0, z1, z2, z3 = around
     a0, a1, a2, a3 = label
-    none = np.float32(NO_LABEL)
+    none = np.float32(unknown)
     for r in range(len(depth_m)):
         for m in range(n):
             depth[m] = depth_m[r, mixed[m]]
@@ -147,8 +154,7 @@ def spread_mixed(
             best = best if best < d else np.float32(np.inf)
             found[m] = a if best <= step[m] else none
         for m in range(n):
-            if found[m] != none:
-                image[r, mixed[m]] = np.int16(found[m])
+            image[r, mixed[m]] = np.int16(found[m])
 
 
 # The foreground of a box: pixels near the depth that most of them have.
@@ -186,7 +192,8 @@ def claim_foregrounds(
     # Of boxes at one depth the one with most support claims first; the other's foreground may be what is left of it.
     for k in sorted(range(len(windows)), key=lambda k: (round(first[k][0] / half_depth_m), -first[k][1], k)):
         at = windows[k]
-        centre_m, support = _mode(unclaimed_depths(z_m[at], free[at], owner[at]), half_depth_m)
+        is_cut = bool((owner[at] != NO_BOX).any())
+        centre_m, support = _mode(unclaimed_depths(z_m[at], free[at], owner[at]), half_depth_m) if is_cut else first[k]
         if support and support >= min_share * owner[at].size:
             claim(z_m[at], free[at], np.float32(centre_m), np.float32(half_depth_m), np.int16(k), owner[at])
     return owner
@@ -227,16 +234,42 @@ def _mode(z_m: F32, half_depth_m: float) -> tuple[float, int]:
     """
     if len(z_m) == 0:
         return 0.0, 0
-    counts = np.bincount((z_m / BIN_M).astype(np.int64))
-    width = max(1, round(2.0 * half_depth_m / BIN_M))
-    held = np.convolve(counts, np.ones(width, dtype=np.int64))
-    last = int(np.argmax(held >= MANY * held.max()))
+    inside, held = fullest_window(z_m, max(1, round(2.0 * half_depth_m / BIN_M)), np.float32(BIN_M), MANY)
+    middle = len(inside) // 2
+    return float(np.partition(inside, middle)[middle]) if len(inside) else 0.0, held
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def fullest_window(z_m: F32, width: int, bin_m: float, many: float) -> tuple[F32, int]:
+    """Return the depths (N,) in the nearest window that holds many, and how many it holds by its bins; see `_mode`.
+
+    Args:
+        z_m: Depths [m], above 0.
+        width: Width of the window [bins].
+        bin_m: Width of a bin [m].
+        many: Share of what any window holds.
+    """
+    n_bins = int(z_m.max() / bin_m) + 1
+    held = np.zeros(n_bins + width - 1, dtype=np.int64)  # by the last bin of the window
+    for z in z_m:
+        held[int(z / bin_m)] += 1
+    counts = held.copy()
+    for last in range(1, len(held)):
+        held[last] = held[last - 1] + counts[last] - (counts[last - width] if last >= width else 0)
+    last, enough = 0, many * held.max()
+    while held[last] < enough:
+        last += 1
     # From where it starts to hold many on to where it holds most.
     while last + 1 < len(held) and held[last + 1] > held[last]:
         last += 1
-    inside = z_m[(z_m >= (last - width + 1) * BIN_M) & (z_m < (last + 1) * BIN_M)]
-    middle = len(inside) // 2
-    return float(np.partition(inside, middle)[middle]) if len(inside) else 0.0, int(held[last])
+    low, high = np.float32((last - width + 1) * BIN_M), np.float32((last + 1) * BIN_M)
+    inside = np.empty(len(z_m), dtype=np.float32)
+    n = 0
+    for z in z_m:
+        if z >= low and z < high:
+            inside[n] = z
+            n += 1
+    return inside[:n], held[last]
 
 
 @dataclass(frozen=True)
@@ -357,17 +390,17 @@ def _give_limbs_back(
     if len(touching) == 0:
         return
     keys, counts = np.unique(touching, return_counts=True)
-    total = np.bincount(target, pieces.sizes, n)
     low, high = np.full((n, 2), np.inf), np.full((n, 2), -np.inf)
     stretch(pieces.voxel_at, pieces.of_voxel, grid.columns, grid.rows, low, high)
+    reach_px = limits.limb_reach * (boxes_px[:, 2:3] - boxes_px[:, :1])
+    least_px, most_px = boxes_px[:, :2] - reach_px, boxes_px[:, 2:] + reach_px
+    most_voxels = limits.limb_share * np.bincount(target, pieces.sizes, n)
     for key in keys[np.argsort(-counts, kind="stable")].tolist():  # the longest contact first
         limb, body = divmod(key, n)
-        if target[limb] != limb:
+        if target[limb] != limb or pieces.sizes[limb] > most_voxels[target[body]]:
             continue
-        box = boxes_px[pieces.box[body]]
-        reach_px = limits.limb_reach * (box[2] - box[0])
-        inside = np.all(low[limb] >= box[:2] - reach_px) and np.all(high[limb] <= box[2:] + reach_px)
-        if inside and pieces.sizes[limb] <= limits.limb_share * total[target[body]]:
+        box = pieces.box[body]
+        if (low[limb] >= least_px[box]).all() and (high[limb] <= most_px[box]).all():
             target[limb] = target[body]
 
 

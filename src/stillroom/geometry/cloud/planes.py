@@ -213,5 +213,6 @@ def _sorted(kept: list[tuple[F64, float]], plane_of: I16) -> Planes:
     norm = np.linalg.norm(slopes, axis=1, keepdims=True)
     # (a, b, c)·p = 1; turned round, the origin is on the positive side.
     coefficients = np.hstack((-slopes, np.ones_like(norm))) / norm
-    rank = np.append(np.argsort(order), NO_PLANE).astype(np.int16)
-    return Planes(coefficients[order].astype(np.float32), area_m2[order], rank.take(plane_of, mode="wrap"))
+    if not np.array_equal(order, np.arange(len(kept))):
+        plane_of = np.append(np.argsort(order), NO_PLANE).astype(np.int16)[plane_of]
+    return Planes(coefficients[order].astype(np.float32), area_m2[order], plane_of)

@@ -194,9 +194,9 @@ class MovedSegments:
         px = camera.project(points_cam_m)
         return _SegmentPoints(
             np.concatenate((label[on], samples.cluster[chosen])),
-            np.concatenate((kp.raw_px[on], camera.distort(px))).astype(np.float64),
-            np.concatenate((kp.px[on], px)).astype(np.float64),
-            np.concatenate((kp.depth_m[on], points_cam_m[:, 2])).astype(np.float64),
+            np.concatenate((kp.raw_px[on], camera.distort(px)), dtype=np.float64),
+            np.concatenate((kp.px[on], px), dtype=np.float64),
+            np.concatenate((kp.depth_m[on], points_cam_m[:, 2]), dtype=np.float64),
         )
 
 

@@ -210,7 +210,7 @@ def test_a_patch_is_found_to_a_tenth_of_a_pixel(shift: tuple[float, float]) -> N
     now = texture(3)
     M = np.array([[1.0, 0, shift[0]], [0, 1.0, shift[1]]])
     then = np.clip(0.8 * cv2.warpAffine(now, M, (640, 480), flags=cv2.INTER_CUBIC) + 20, 0, 255).astype(np.uint8)
-    scratch, found = np.empty(ROOM), np.empty(2)
+    scratch, found = np.zeros(ROOM, np.float32), np.empty(2)
     errors = []
     for x, y in EVERYWHERE[::5] + 0.37:
         likeness = find_patch(now, (x, y), then, (x, y), 20, scratch, found)

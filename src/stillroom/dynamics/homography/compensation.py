@@ -111,12 +111,12 @@ class Compensation:
         n = int(known.sum())
         if n < self.config.min_inliers:
             return None
-        observed_px = np.column_stack((then_px[known], np.zeros(n)))
-        weights = np.tile([1.0, 1.0, 0.0], (n, 1)) / self.config.pose_sigma_px**2
+        observed_px, weights = np.zeros((2, n, 3))
+        observed_px[:, :2], weights[:, :2] = then_px[known], 1.0 / self.config.pose_sigma_px**2
         points = camera.back_project(now_px[known], depth_m[known])
         estimate = self._optimize(guess, points, observed_px, weights, camera)
         enough = estimate.n_inliers >= max(self.config.min_inliers, n // 3)
-        return se3.orthonormalize(estimate.T_cam_world) if enough else None
+        return estimate.T_cam_world if enough else None
 
 
 def choose_probes(raw_px: Floats, has_depth: Bool, usable: Bool, n: int) -> I64:

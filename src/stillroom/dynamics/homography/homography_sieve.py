@@ -94,20 +94,22 @@ class CompensatedHomographySieve:
         self._asked: Frame | None = None
         self._remembered: RgbdImage | None = None
         self.findings: Findings | None = None
-        self._said: tuple[Semantics, Findings | None, Motion] | None = None
+        self._said: tuple[Semantics, Motion] | None = None
 
     def judge(self, question: Question) -> Motion:
         """Classify by the masks, and outside them by geometry."""
         frame, known = question.frame, question.known
         if self._asked is None or self._asked.image is not frame.image:
             self._view, self.findings = view_of(frame.image), None
-        if self.findings is None or self._asked is None or self._asked.keypoints is not frame.keypoints:
-            # A later stage tries again with a better pose, in case the first one gave no result.
-            self.findings, self._said = self.examine(frame, known, self._view, question.T_cam_world), None
+        # A later stage tries again with a better pose, in case the first one gave no result.
+        again = self.findings is None or self._asked is None or self._asked.keypoints is not frame.keypoints
+        if again or self._said is None or self._said[0] is not known:
+            masked = known.movable_at(frame.keypoints.raw_px)
+            if again:
+                self.findings = self.examine(frame, known, masked, self._view, question.T_cam_world)
+            self._said = known, self._verdict(frame, known, masked)
         self._asked = frame
-        if self._said is None or self._said[0] is not known or self._said[1] is not self.findings:
-            self._said = known, self.findings, self._verdict(frame, known)
-        return self._said[2]
+        return self._said[1]
 
     def remember(self, frame: Frame, T_cam_world: F64, keyframe: int) -> None:
         """Store an image for the next one; the ants are updated once."""
@@ -122,9 +124,10 @@ class CompensatedHomographySieve:
         """Correct the stored poses."""
         self._past.follow(T_new_old)
 
-    def examine(self, frame: Frame, known: Semantics, view: ImageView, T_cam_world: F64) -> Findings | None:
+    def examine(
+        self, frame: Frame, known: Semantics, masked: Bool, view: ImageView, T_cam_world: F64
+    ) -> Findings | None:
         """Return the result of the geometry; None where there is nothing to compare with, or it cannot be compared."""
-        masked = known.movable_at(frame.keypoints.raw_px)
         for earlier in self._past.before(frame):
             guess = earlier.T_cam_world @ se3.inverse(T_cam_world)
             camera_motion = self._compensation(frame, masked, view.half, earlier.view.half, guess)
@@ -166,10 +169,9 @@ class CompensatedHomographySieve:
             found = self._ants.search(test.raw_px, is_dynamic, known.movable if known.has_any else None)
         return Findings(frame.image.index, candidates, found, verdicts, camera_motion, test)
 
-    def _verdict(self, frame: Frame, known: Semantics) -> Motion:
-        """Combine the masks and the geometry."""
-        moving, findings = known.movable, self.findings
-        is_static = ~known.movable_at(frame.keypoints.raw_px)
+    def _verdict(self, frame: Frame, known: Semantics, masked: Bool) -> Motion:
+        """Combine the masks, in which keypoints (N,) lie, and the geometry."""
+        moving, findings, is_static = known.movable, self.findings, ~masked
         if findings is None:
             return Motion(is_static, moving)
         is_static[findings.candidates[findings.found.is_dynamic]] = False

@@ -1,6 +1,7 @@
 """The earlier images that the present one is compared with."""
 
 import itertools
+from collections import deque
 from dataclasses import dataclass, field, replace
 
 import cv2
@@ -32,9 +33,17 @@ class EarlierImage:
     T_cam_world: F64
 
 
+_latest: deque[tuple[RgbdImage, ImageView]] = deque(maxlen=1)
+
+
 def view_of(image: RgbdImage) -> ImageView:
-    """Return an image as the point test reads it."""
-    return ImageView(_shrunk(image.gray, 2), _shrunk(image.gray, 4), image.depth_m)
+    """Return an image as the point test reads it; that of the latest image is kept, for two sieves ask for it."""
+    for known, view in tuple(_latest):
+        if known is image:
+            return view
+    made = ImageView(_shrunk(image.gray, 2), _shrunk(image.gray, 4), image.depth_m)
+    _latest.append((image, made))
+    return made
 
 
 def _shrunk(gray: U8, times: int) -> U8:

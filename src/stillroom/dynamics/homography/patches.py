@@ -3,15 +3,24 @@
 import numpy as np
 
 from stillroom.compiled import njit
-from stillroom.geometry.arrays import F64, U8
+from stillroom.geometry.arrays import F32, F64, U8
 
 HALF_PX = 4
 """Half the side of a patch, on whatever level of the pyramid it is taken."""
 SIDE_PX = 2 * HALF_PX + 1
 N_PIXELS = SIDE_PX**2
-_WIDE_PX = SIDE_PX + 2
-ROOM = 4, _WIDE_PX**2
-"""Shape of the scratch of a search."""
+_ACROSS = SIDE_PX + 3
+"""Columns that are read at once. Whatever is of a patch has rows of as many values, of which the last do not count, so
+that loops over it have no inner loop of a few pixels.
+"""
+_SPAN = _ACROSS * (SIDE_PX - 1) + SIDE_PX
+_COUNTS = (np.arange(_SPAN) % _ACROSS < SIDE_PX).astype(np.float32)
+"""1 for the pixels of a patch, 0 between its rows."""
+_HALF = np.float32(0.5)
+ROOM = 6, _ACROSS * _ACROSS
+"""Shape of the float32 scratch of a search: the patch less its mean, its differences by x and by y; a part of an image,
+and the same between its columns, and its rows.
+"""
 MARGIN_PX = HALF_PX + 2
 MIN_CONTRAST = 4.0
 """Root mean square gradient [gray levels a pixel] that a patch must have in its poorest direction, on average."""
@@ -29,44 +38,42 @@ def in_view(image: U8, x: float, y: float) -> bool:
 
 
 @njit(nogil=True, cache=True)
-def take_patch(image: U8, x: float, y: float, scratch: F64) -> float:
-    """Write the patch around (x, y), which must be in view, row by row, and its gradients; return its mean.
-
-    Args:
-        image: The image (h, w).
-        x, y: The middle of the patch [px].
-        scratch: Of the shape ROOM; the patch less its mean, and its differences by x and by y are written to the first
-            N_PIXELS of three rows. The last row is for the patch with a border of a pixel.
-    """
-    column, row = int(np.floor(x)), int(np.floor(y))
-    fx, fy = x - column, y - row
-    w00, w01, w10, w11 = (1.0 - fx) * (1.0 - fy), fx * (1.0 - fy), (1.0 - fx) * fy, fx * fy
-    left, top = column - HALF_PX - 1, row - HALF_PX - 1
-    patch, by_x, by_y, wide = scratch[0], scratch[1], scratch[2], scratch[3]
-    for r in range(_WIDE_PX):
-        upper, lower = image[top + r, left : left + _WIDE_PX + 1], image[top + r + 1, left : left + _WIDE_PX + 1]
-        for c in range(_WIDE_PX):
-            wide[_WIDE_PX * r + c] = w00 * upper[c] + w01 * upper[c + 1] + w10 * lower[c] + w11 * lower[c + 1]
-    total = 0.0
-    for r in range(SIDE_PX):
-        for c in range(SIDE_PX):
-            n, m = SIDE_PX * r + c, _WIDE_PX * (r + 1) + c + 1
-            patch[n] = wide[m]
-            by_x[n] = 0.5 * (wide[m + 1] - wide[m - 1])
-            by_y[n] = 0.5 * (wide[m + _WIDE_PX] - wide[m - _WIDE_PX])
-            total += patch[n]
-    mean = total / N_PIXELS
-    for n in range(N_PIXELS):
-        patch[n] -= mean
-    return mean
+def _read(image: U8, top: int, left: int, n_rows: int, part: F32) -> None:
+    """Write a part of an image, `_ACROSS` columns wide."""
+    for r in range(n_rows):
+        line = image[top + r, left : left + _ACROSS]
+        for c in range(_ACROSS):
+            part[_ACROSS * r + c] = line[c]
 
 
 @njit(nogil=True, cache=True, fastmath={"reassoc", "contract"})
-def moments(scratch: F64) -> tuple[float, float, float, float, float, float, float, float]:
+def take_patch(image: U8, x: float, y: float, scratch: F32) -> float:
+    """Write the patch around (x, y), which must be in view, and its differences to `scratch`; return its mean."""
+    column, row = int(np.floor(x)), int(np.floor(y))
+    fx, fy = np.float32(x - column), np.float32(y - row)
+    patch, by_x, by_y, part, along, wide = scratch[0], scratch[1], scratch[2], scratch[3], scratch[4], scratch[5]
+    _read(image, row - HALF_PX - 1, column - HALF_PX - 1, _ACROSS, part)
+    for n in range(_ACROSS * _ACROSS - 1):
+        along[n] = part[n] + fx * (part[n + 1] - part[n])
+    for n in range(_ACROSS * (_ACROSS - 1) - 1):
+        wide[n] = along[n] + fy * (along[n + _ACROSS] - along[n])
+    total, corner = np.float32(0.0), _ACROSS + 1
+    for n in range(_SPAN):
+        total += _COUNTS[n] * wide[corner + n]
+    mean = total / np.float32(N_PIXELS)
+    for n in range(_SPAN):
+        patch[n] = _COUNTS[n] * (wide[corner + n] - mean)
+        by_x[n] = _COUNTS[n] * _HALF * (wide[corner + n + 1] - wide[corner + n - 1])
+        by_y[n] = _COUNTS[n] * _HALF * (wide[corner + n + _ACROSS] - wide[corner + n - _ACROSS])
+    return float(mean)
+
+
+@njit(nogil=True, cache=True, fastmath={"reassoc", "contract"})
+def moments(scratch: F32) -> tuple[float, float, float, float, float, float, float, float]:
     """Return sums over a patch p and its differences g, h, as `take_patch` wrote them: p², gg, hh, gh, pg, ph, g, h."""
     pp = gg = hh = gh = pg = ph = sum_g = sum_h = 0.0
-    for n in range(N_PIXELS):
-        p, g, h = scratch[0, n], scratch[1, n], scratch[2, n]
+    for n in range(_SPAN):
+        p, g, h = float(scratch[0, n]), float(scratch[1, n]), float(scratch[2, n])
         pp += p * p
         gg += g * g
         hh += h * h
@@ -79,28 +86,27 @@ def moments(scratch: F64) -> tuple[float, float, float, float, float, float, flo
 
 
 @njit(nogil=True, cache=True, fastmath={"reassoc", "contract"})
-def compare(image: U8, x: float, y: float, mean: float, scratch: F64) -> tuple[float, float, float, float, float]:
-    """Return sums over the patch t around (x, y), which must be in view, and p, g, h of `moments`: t, t², tp, tg, th.
+def compare(fx: float, fy: float, mean: float, scratch: F32) -> tuple[float, float, float, float, float]:
+    """Return sums over a patch t of the part that was read, and p, g, h of `moments`: t, t², tp, tg, th.
 
-    Of t, `mean` is taken off: what is large in all its values would cost digits.
+    Args:
+        fx, fy: How far the patch lies to the right of the part's pixels, and below them, 0 to 1 [px].
+        mean: What is taken off t: what is large in all its values would cost digits.
+        scratch: Of the shape ROOM.
     """
-    column, row = int(np.floor(x)), int(np.floor(y))
-    fx, fy = x - column, y - row
-    w00, w01, w10, w11 = (1.0 - fx) * (1.0 - fy), fx * (1.0 - fy), (1.0 - fx) * fy, fx * fy
-    left, top = column - HALF_PX, row - HALF_PX
-    sum_t = tt = tp = tg = th = 0.0
-    for r in range(SIDE_PX):
-        upper = image[top + r, left : left + SIDE_PX + 1]
-        lower = image[top + r + 1, left : left + SIDE_PX + 1]
-        for c in range(SIDE_PX):
-            n = SIDE_PX * r + c
-            t = w00 * upper[c] + w01 * upper[c + 1] + w10 * lower[c] + w11 * lower[c + 1] - mean
-            sum_t += t
-            tt += t * t
-            tp += t * scratch[0, n]
-            tg += t * scratch[1, n]
-            th += t * scratch[2, n]
-    return sum_t, tt, tp, tg, th
+    patch, by_x, by_y, part, along = scratch[0], scratch[1], scratch[2], scratch[3], scratch[4]
+    right, below, off = np.float32(fx), np.float32(fy), np.float32(mean)
+    for n in range(_SPAN + _ACROSS):
+        along[n] = part[n] + right * (part[n + 1] - part[n])
+    sum_t = tt = tp = tg = th = np.float32(0.0)
+    for n in range(_SPAN):
+        t = _COUNTS[n] * (along[n] + below * (along[n + _ACROSS] - along[n]) - off)
+        sum_t += t
+        tt += t * t
+        tp += t * patch[n]
+        tg += t * by_x[n]
+        th += t * by_y[n]
+    return float(sum_t), float(tt), float(tp), float(tg), float(th)
 
 
 @njit(nogil=True, cache=True)
@@ -110,7 +116,7 @@ def find_patch(
     then: U8,
     guess: tuple[float, float],
     iterations: int,
-    scratch: F64,
+    scratch: F32,
     found: F64,
 ) -> float:
     """Find the patch around a point in another image, from an initial guess.
@@ -122,15 +128,15 @@ def find_patch(
         now, at: Image (h, w), and x and y of the point in it [px].
         then, guess: The other image, and x and y of the guess [px].
         iterations: Most steps.
-        scratch: Room for `take_patch`, of the shape ROOM.
+        scratch: Of the shape ROOM.
         found: Where the patch is (2,) [px]; filled in.
 
     Returns:
         Similarity of the patches: their normalised correlation; NOT_SEEN where the patch has no corner or leaves
         an image.
     """
-    (x, y), (u, v) = at, guess
-    found[0], found[1] = u, v
+    x, y = at
+    found[0], found[1] = guess
     if not in_view(now, x, y):
         return NOT_SEEN
     mean = take_patch(now, x, y, scratch)
@@ -139,11 +145,15 @@ def find_patch(
     if not least > MIN_CONTRAST * MIN_CONTRAST * N_PIXELS:
         return NOT_SEEN  # no corner
     determinant = xx * yy - xy * xy
-    likeness = NOT_SEEN
+    likeness, column, row = NOT_SEEN, -1, -1
     for _ in range(iterations):
         if not in_view(then, found[0], found[1]):
             return NOT_SEEN
-        total, squares, product, along_x, along_y = compare(then, found[0], found[1], mean, scratch)
+        u, v = np.floor(found[0]), np.floor(found[1])
+        if int(u) != column or int(v) != row:  # Else the part that was read still holds the patch.
+            column, row = int(u), int(v)
+            _read(then, row - HALF_PX, column - HALF_PX, SIDE_PX + 1, scratch[3])
+        total, squares, product, along_x, along_y = compare(found[0] - u, found[1] - v, mean, scratch)
         other = total / N_PIXELS
         energy = max(0.0, squares - total * other)
         likeness = product / np.sqrt(energy * variance + 1e-9)

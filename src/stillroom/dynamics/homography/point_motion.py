@@ -201,7 +201,7 @@ def ask_depth(depth_m: F32, px: F64, z: float, tolerance_m: float) -> int:
 
 
 @njit(nogil=True, cache=True)
-def locate(images: _Images, raw: F64, guess: F64, limits: _Limits, scratch: F64, found: F64) -> int:
+def locate(images: _Images, raw: F64, guess: F64, limits: _Limits, scratch: F32, found: F64) -> int:
     """Find a point of the present image (2,) in the earlier one, from a guess (2,) on; both as taken [px].
 
     Near the guess at half size first; where it is not there, farther away at a quarter of the size, then near that.
@@ -255,7 +255,7 @@ def judge_points(
     T, H = motions
     verdicts, residual_px = answers
     then_depth_m, use_depth = images.then_depth_m, limits.use_depth
-    scratch = np.empty(ROOM)
+    scratch = np.zeros(ROOM, dtype=np.float32)
     by_pose, by_plane, found = np.empty(2), np.empty(2), np.empty(2)
     for k in range(len(which)):
         i = which[k]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from stillroom.bounds import bounded
 from stillroom.compiled import njit
 from stillroom.data.image import RgbdImage
-from stillroom.geometry.arrays import F32, U8, U16, Bool
+from stillroom.geometry.arrays import F32, I32, U8, U16, Bool
 from stillroom.geometry.camera import Camera
 from stillroom.geometry.pixels import Shape, element
 
@@ -50,16 +50,18 @@ def find_surfaces(depth_m: F32, rays: F32, near_m: float, far_m: float, least_co
     height, width = depth_m.shape
     pitch = np.float32((rays[height // 2, width - 1, 0] - rays[height // 2, 0, 0]) / max(1, width - 1))
     normals = np.zeros((height, width, 3), dtype=np.int8)
+    tolerances, alike = np.empty(width, dtype=np.float32), np.empty(width, dtype=np.int32)
     for y in range(height):
+        for x in range(width):
+            z = depth_m[y, x]
+            tolerances[x] = max(STEP_TOLERANCE_M, STEP_TOLERANCE_PER_M * z * z) + SLOPE * pitch * z
+        _count_alike(depth_m, y, tolerances, alike)
         for x in range(width):
             if usable[y, x] == 0:
                 continue
             usable[y, x] = 0
-            z = depth_m[y, x]
-            if not (near_m <= z <= far_m):
-                continue
-            tolerance = np.float32(max(STEP_TOLERANCE_M, STEP_TOLERANCE_PER_M * z * z) + SLOPE * pitch * z)
-            if _count_alike(depth_m, y, x, tolerance) < FEWEST_ALIKE:
+            z, tolerance = depth_m[y, x], tolerances[x]
+            if alike[x] < FEWEST_ALIKE or not (near_m <= z <= far_m):
                 continue
             reach = min(LONGEST_REACH_PX, 1 + int(z))
             loose = tolerance + np.float32(STEEP_SLOPE) * pitch * z * np.float32(reach)
@@ -90,13 +92,22 @@ def find_surfaces(depth_m: F32, rays: F32, near_m: float, far_m: float, least_co
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _count_alike(depth_m: F32, y: int, x: int, tolerance: float) -> int:
-    """Return how many of the neighbours of a pixel lie at its depth."""
-    alike = -1
-    for v in range(max(0, y - 1), min(depth_m.shape[0], y + 2)):
-        for u in range(max(0, x - 1), min(depth_m.shape[1], x + 2)):
-            alike += 1 if abs(depth_m[v, u] - depth_m[y, x]) <= tolerance else 0
-    return alike
+def _count_alike(depth_m: F32, y: int, tolerances: F32, alike: I32) -> None:
+    """Count for each pixel of a line (w,) how many of its eight neighbours lie at its depth.
+
+    A neighbour at a time, along the whole line: several pixels are then compared at once.
+    """
+    height, width = depth_m.shape
+    alike[:] = 0
+    for v in range(max(0, y - 1), min(height, y + 2)):
+        for aside in range(-1, 2):
+            if v == y and aside == 0:
+                continue
+            first, last = max(0, -aside), width - max(0, aside)
+            there, here = depth_m[v, first + aside : last + aside], depth_m[y, first:last]
+            tolerance, found = tolerances[first:last], alike[first:last]
+            for i in range(last - first):
+                found[i] += 1 if abs(there[i] - here[i]) <= tolerance[i] else 0
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

@@ -128,9 +128,11 @@ def add_pixels(pixels: Pixels, table: HashTable, row_key: I64, rows: I32, n_rows
     slot_key, slot_row = table
     height, width = keys.shape
     n_newborn = 0
+    rows_above = np.full(width, -1, dtype=np.int32)
     last_key, row = EMPTY, -1
     for y in range(height):
         for x in range(width):
+            above, rows_above[x] = rows_above[x], -1
             if usable[y, x] == 0:
                 continue
             key = keys[y, x]
@@ -138,26 +140,39 @@ def add_pixels(pixels: Pixels, table: HashTable, row_key: I64, rows: I32, n_rows
                 usable[y, x] = 0
                 continue
             if key != last_key:
-                slot = find_slot(key, slot_key)
-                if slot_key[slot] == EMPTY:
-                    slot_key[slot] = key
-                    slot_row[slot] = n_rows
-                    row_key[n_rows] = key
-                    n_rows += 1
-                last_key, row = key, slot_row[slot]
-            w = weights[y, x]
+                if above >= 0 and keys[y - 1, x] == key:  # most voxels are met again in the next line
+                    row = above
+                else:
+                    slot = find_slot(key, slot_key)
+                    if slot_key[slot] == EMPTY:
+                        slot_key[slot] = key
+                        slot_row[slot] = n_rows
+                        row_key[n_rows] = key
+                        n_rows += 1
+                    row = slot_row[slot]
+                last_key = key
+            rows_above[x] = row
             if rows[row, WEIGHT] > HEAVIEST:
                 usable[y, x] = 0
                 continue
             if rows[row, WEIGHT] == 0:
                 newborn[n_newborn] = row
                 n_newborn += 1
-            rows[row, WEIGHT] += w
-            for k in range(3):
-                rows[row, PLACE + k] += w * fine[y, x, k]
-                rows[row, COLOUR + k] += w * rgb[y, x, k]
-                rows[row, NORMAL + k] += w * normals[y, x, k]
+            _add(weights[y, x], fine[y, x], rgb[y, x], normals[y, x], rows[row])
     return n_rows, n_newborn
+
+
+@njit(nogil=True, cache=True, error_model="numpy", inline="always")
+def _add(weight: int, fine: U8, rgb: U8, normal: I8, sums: I32) -> None:
+    """Add a pixel to the sums (13,) of a voxel. All is read before anything is written: arrays might be one another."""
+    w = weight
+    x, y, z = w * fine[0], w * fine[1], w * fine[2]
+    r, g, b = w * rgb[0], w * rgb[1], w * rgb[2]
+    n0, n1, n2 = w * normal[0], w * normal[1], w * normal[2]
+    s0, s1, s2, s3, s4 = sums[0] + w, sums[1] + x, sums[2] + y, sums[3] + z, sums[4] + r
+    s5, s6, s7, s8, s9 = sums[5] + g, sums[6] + b, sums[7] + n0, sums[8] + n1, sums[9] + n2
+    sums[0], sums[1], sums[2], sums[3], sums[4] = s0, s1, s2, s3, s4
+    sums[5], sums[6], sums[7], sums[8], sums[9] = s5, s6, s7, s8, s9
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -169,21 +184,23 @@ def subtract_pixels(pixels: Pixels, table: HashTable, rows: I32, added_at: int) 
     keys, fine, rgb, normals, weights, usable = pixels
     slot_key, slot_row = table
     height, width = keys.shape
+    rows_above = np.full(width, -1, dtype=np.int32)
     last_key, row = EMPTY, -1
     for y in range(height):
         for x in range(width):
+            above, rows_above[x] = rows_above[x], -1
             if usable[y, x] == 0:
                 continue
             key = keys[y, x]
             if key != last_key:
-                slot = find_slot(key, slot_key)
-                last_key, row = key, (slot_row[slot] if slot_key[slot] != EMPTY else -1)
+                if above >= 0 and keys[y - 1, x] == key:
+                    row = above
+                else:
+                    slot = find_slot(key, slot_key)
+                    row = slot_row[slot] if slot_key[slot] != EMPTY else -1
+                last_key = key
+            rows_above[x] = row
             if row < 0 or rows[row, VOIDED_AT] > added_at:
                 usable[y, x] = 0
                 continue
-            w = weights[y, x]
-            rows[row, WEIGHT] -= w
-            for k in range(3):
-                rows[row, PLACE + k] -= w * fine[y, x, k]
-                rows[row, COLOUR + k] -= w * rgb[y, x, k]
-                rows[row, NORMAL + k] -= w * normals[y, x, k]
+            _add(-weights[y, x], fine[y, x], rgb[y, x], normals[y, x], rows[row])

@@ -74,7 +74,7 @@ def test_empty_inputs_give_no_matches() -> None:
     no_targets = Targets(
         targets.px[:0], targets.octave[:0], targets.right_px[:0], targets.descriptors[:0], targets.usable[:0]
     )
-    no_queries = Queries(*(getattr(queries, name)[:0] for name in queries.__dataclass_fields__))
+    no_queries = Queries(*(getattr(queries, name)[:0] for name in queries.__dataclass_fields__ if name != "row"))
     assert found(queries, no_targets) == {}
     assert found(no_queries, targets) == {}
     assert found(queries, replace(targets, usable=np.zeros(5, bool))) == {}

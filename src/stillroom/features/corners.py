@@ -207,9 +207,7 @@ def spread(corners: Corners, sizes: list[tuple[int, int]], quotas: list[int], st
 
 
 @njit(nogil=True, cache=True)
-def _spread(
-    px: F32, score: F32, side_px: float, cells: tuple[int, int], strong: float, salt: int, chosen: I64
-) -> int:
+def _spread(px: F32, score: F32, side_px: float, cells: tuple[int, int], strong: float, salt: int, chosen: I64) -> int:
     """Write the indices of the chosen corners of one level, as many as there is room for; return how many they are."""
     n_cells = cells[0] * cells[1]
     cell, merit = np.empty(len(px), np.int64), np.empty(len(px), np.int64)

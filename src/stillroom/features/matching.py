@@ -33,17 +33,19 @@ class Grid(NamedTuple):
 
 def build_grid(px: F32) -> Grid:
     """Sort keypoints (N, 2) [px] into cells."""
-    if len(px) == 0:
-        return Grid(np.zeros(2, np.float32), np.ones(2, np.int32), np.zeros(2, np.int32), np.zeros(0, np.int32))
-    origin_px = px.min(axis=0)
-    extent = px.max(axis=0) - origin_px
-    shape = np.array([int(extent[1] // CELL_PX) + 1, int(extent[0] // CELL_PX) + 1], dtype=np.int32)
-    start, order = _sort_into_cells(px, origin_px, shape)
-    return Grid(origin_px, shape, start, order)
+    return Grid(*_sort_into_cells(px))
 
 
 @njit(nogil=True, cache=True)
-def _sort_into_cells(px: F32, origin_px: F32, shape: I32) -> tuple[I32, I32]:
+def _sort_into_cells(px: F32) -> tuple[F32, I32, I32, I32]:
+    origin_px, far_px = np.zeros(2, np.float32), np.zeros(2, np.float32)
+    for i in range(len(px)):
+        for k in range(2):
+            origin_px[k] = px[i, k] if i == 0 else min(origin_px[k], px[i, k])
+            far_px[k] = px[i, k] if i == 0 else max(far_px[k], px[i, k])
+    shape = np.empty(2, np.int32)
+    shape[0] = int((far_px[1] - origin_px[1]) / CELL_PX) + 1
+    shape[1] = int((far_px[0] - origin_px[0]) / CELL_PX) + 1
     n_cells = shape[0] * shape[1]
     cell = np.empty(len(px), np.int32)
     start = np.zeros(n_cells + 1, np.int32)
@@ -59,7 +61,7 @@ def _sort_into_cells(px: F32, origin_px: F32, shape: I32) -> tuple[I32, I32]:
     for i in range(len(px)):
         order[fill[cell[i]]] = i
         fill[cell[i]] += 1
-    return start, order
+    return origin_px, shape, start, order
 
 
 FAR_BITS = 100
@@ -78,7 +80,8 @@ class Queries:
         radius_px: Search radius (Q,) float32.
         min_octave, max_octave: Levels to look on (Q,) int32, both included.
         right_px: Expected right coordinate (Q,) float32; −1 where not known.
-        descriptors: (Q, 32) uint8.
+        descriptors: (Q, 32) uint8, or a table (R, 32) of which `row` is some.
+        row: Row of `descriptors` of each (Q,) int32; None for all in order.
     """
 
     px: F32
@@ -87,6 +90,7 @@ class Queries:
     max_octave: I32
     right_px: F32
     descriptors: U8
+    row: I32 | None = None
 
 
 @dataclass(frozen=True)
@@ -114,8 +118,9 @@ def search_windows(queries: Queries, targets: Targets, max_bits: int = FAR_BITS,
     """
     grid = build_grid(targets.px)
     q, t = queries, targets
+    row = np.arange(len(q.px), dtype=np.int32) if q.row is None else q.row
     target, bits = _search_windows(
-        _Wanted(q.px, q.radius_px, q.min_octave, q.max_octave, q.right_px, words(q.descriptors)),
+        _Wanted(q.px, q.radius_px, q.min_octave, q.max_octave, q.right_px, words(q.descriptors), row),
         _TargetArrays(t.px, t.octave, t.right_px, words(t.descriptors), t.usable),
         grid,
         max_bits,
@@ -125,7 +130,7 @@ def search_windows(queries: Queries, targets: Targets, max_bits: int = FAR_BITS,
 
 
 class _Wanted(NamedTuple):
-    """`Queries` as the kernel takes them; descriptors as words (Q, 4)."""
+    """`Queries` as the kernel takes them; descriptors as words (R, 4)."""
 
     px: F32
     radius_px: F32
@@ -133,6 +138,7 @@ class _Wanted(NamedTuple):
     max_octave: I32
     right_px: F32
     words: U64
+    row: I32
 
 
 class _TargetArrays(NamedTuple):
@@ -147,7 +153,7 @@ class _TargetArrays(NamedTuple):
 
 @njit(nogil=True, cache=True)
 def _search_windows(wanted: _Wanted, there: _TargetArrays, grid: Grid, max_bits: int, ratio: float) -> tuple[I32, I32]:
-    query_px, radius_px, min_octave, max_octave, query_right_px, query_words = wanted
+    query_px, radius_px, min_octave, max_octave, query_right_px, query_words, query_row = wanted
     px, octave, right_px, target_words, usable = there
     origin_px, shape, start, order = grid
     n = len(query_px)
@@ -165,13 +171,13 @@ def _search_windows(wanted: _Wanted, there: _TargetArrays, grid: Grid, max_bits:
         for row in range(r0, r1 + 1):
             for k in range(start[row * shape[1] + c0], start[row * shape[1] + c1 + 1]):
                 i = order[k]
-                if not usable[i] or octave[i] < min_octave[q] or octave[i] > max_octave[q]:
-                    continue
-                if abs(px[i, 0] - x) > r or abs(px[i, 1] - y) > r:
+                # All at once, for each is a toss of a coin that the processor would guess wrong.
+                fits = usable[i] & (octave[i] >= min_octave[q]) & (octave[i] <= max_octave[q])
+                if not (fits & (abs(px[i, 0] - x) <= r) & (abs(px[i, 1] - y) <= r)):
                     continue
                 if query_right_px[q] >= 0 and right_px[i] >= 0 and abs(query_right_px[q] - right_px[i]) > r:
                     continue
-                bits = hamming(query_words, q, target_words, i)
+                bits = hamming(query_words, query_row[q], target_words, i)
                 if bits < best:
                     second, second_octave = best, best_octave
                     best, best_octave, at = bits, octave[i], i
@@ -291,14 +297,21 @@ def _search_epipolar(
     return found, found_bits
 
 
+@njit(nogil=True, cache=True)
 def one_to_one(target: I32, bits: I32, n_targets: int) -> tuple[I32, I32]:
-    """Keep for each target the nearest query; `target` (Q,) is −1 where a query found nothing."""
-    query = np.flatnonzero(target >= 0)
-    by_distance = query[np.argsort(bits[query], kind="stable")]
-    owner = np.full(n_targets, -1, dtype=np.int32)
-    owner[target[by_distance[::-1]]] = by_distance[::-1]
-    mine = query[owner[target[query]] == query]
-    return mine.astype(np.int32), target[mine]
+    """Keep for each target the nearest query, of equal ones the first; `target` (Q,) is −1 where one found nothing."""
+    owner = np.full(n_targets, -1, np.int32)
+    for q in range(len(target)):
+        t = target[q]
+        if t >= 0 and (owner[t] < 0 or bits[q] < bits[owner[t]]):
+            owner[t] = q
+    query, found = np.empty(len(target), np.int32), np.empty(len(target), np.int32)
+    n = 0
+    for q in range(len(target)):
+        if target[q] >= 0 and owner[target[q]] == q:
+            query[n], found[n] = q, target[q]
+            n += 1
+    return query[:n], found[:n]
 
 
 def consistent_rotation(first_rad: Floats, second_rad: Floats) -> Bool:
@@ -311,7 +324,19 @@ def consistent_rotation(first_rad: Floats, second_rad: Floats) -> Bool:
     turn = np.mod(np.asarray(first_rad) - np.asarray(second_rad), 2.0 * np.pi)
     # Rounded, so that the middle of a bin, not a border, lies at no rotation, the most common case.
     bins: Ints = np.rint(turn * (_HISTOGRAM_BINS / (2.0 * np.pi))).astype(np.int64) % _HISTOGRAM_BINS
-    counts = np.bincount(bins, minlength=_HISTOGRAM_BINS)
-    best = np.argsort(-counts, kind="stable")[:3]
-    chosen = best[counts[best] >= max(1.0, 0.1 * counts[best[0]])]
-    return np.isin(bins, chosen)
+    return np.asarray(_in_common_bins(bins))
+
+
+@njit(nogil=True, cache=True)
+def _in_common_bins(bins: Ints) -> Bool:
+    """Return which of the bins (M,) are among the three most common, of equal ones the first."""
+    counts = np.zeros(_HISTOGRAM_BINS, np.int64)
+    for b in bins:
+        counts[b] += 1
+    chosen = np.zeros(_HISTOGRAM_BINS, np.bool_)
+    most = counts.max()
+    for _ in range(3):
+        best = np.argmax(counts)
+        chosen[best] = counts[best] >= max(1.0, 0.1 * most)
+        counts[best] = -1
+    return chosen[bins]

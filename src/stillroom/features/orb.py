@@ -11,7 +11,7 @@ from stillroom.compiled import njit
 from stillroom.data.frame import Frame, Keypoints, ScaleLevels
 from stillroom.data.image import RgbdImage
 from stillroom.features.corners import Corners, detect, spread
-from stillroom.geometry.arrays import F32, F64, I32, I64, U8, Bool, Floats
+from stillroom.geometry.arrays import F32, F64, I32, I64, U8, Bool
 from stillroom.geometry.camera import Camera
 from stillroom.geometry.pixels import values_at
 from stillroom.protocols import Parts
@@ -58,7 +58,7 @@ def disc_weights() -> tuple[F32, F32]:
 
 
 # The order of the sum is free because float32 holds every partial sum of whole numbers here without rounding.
-@njit(nogil=True, cache=True, fastmath={"reassoc", "nsz", "contract"})
+@njit(nogil=True, cache=True, fastmath={"reassoc", "contract"})
 def orientations(image: U8, px: F32, weights: tuple[F32, F32], angle_rad: F32) -> None:
     """Fill the angle (N,) from keypoint to the centroid of brightness in its disc (Rublee et al. 2011, 3.2)."""
     along_x, along_y = weights

@@ -37,7 +37,7 @@ class Projection:
 
 
 class PointGeometry(NamedTuple):
-    """P points and from where they can be seen.
+    """Points and from where they can be seen.
 
     Attributes:
         position_m: (P, 3) float64 [m, world].
@@ -74,10 +74,16 @@ class _Projected(NamedTuple):
 
 
 def project_points(
-    T_cam_world: F64, camera: Camera, scale_factors: F64, points: PointGeometry, min_view_cos: float = 0.5
+    T_cam_world: F64,
+    camera: Camera,
+    scale_factors: F64,
+    points: PointGeometry,
+    min_view_cos: float = 0.5,
+    ids: I32 | None = None,
 ) -> Projection:
-    """Project points with their viewing geometry into a camera at `T_cam_world` (4, 4)."""
-    n = len(points.position_m)
+    """Project points with their viewing geometry into a camera at `T_cam_world` (4, 4): all, or those at `ids` (P,)."""
+    ids = np.arange(len(points.position_m), dtype=np.int32) if ids is None else ids
+    n = len(ids)
     seen = _Projected(
         np.zeros((n, 2), np.float32),
         np.zeros(n, np.float32),
@@ -94,20 +100,21 @@ def project_points(
         float(np.log(scale_factors[1])) if len(scale_factors) > 1 else 1.0,
         len(scale_factors),
     )
-    _project(viewer, points, min_view_cos, seen)
+    _project(viewer, points, ids, min_view_cos, seen)
     return Projection(*seen)
 
 
 @njit(nogil=True, cache=True)
-def _project(viewer: _Viewer, points: PointGeometry, min_view_cos: float, seen: _Projected) -> None:
+def _project(viewer: _Viewer, points: PointGeometry, ids: I32, min_view_cos: float, seen: _Projected) -> None:
     T, lens, bf, bounds_px, log_factor, n_levels = viewer
     position_m, normals, min_distance_m, max_distance_m = points
     px, right_px, octave, view_cos, depth_m, visible = seen
     ox = -(T[0, 0] * T[0, 3] + T[1, 0] * T[1, 3] + T[2, 0] * T[2, 3])
     oy = -(T[0, 1] * T[0, 3] + T[1, 1] * T[1, 3] + T[2, 1] * T[2, 3])
     oz = -(T[0, 2] * T[0, 3] + T[1, 2] * T[1, 3] + T[2, 2] * T[2, 3])
-    for i in range(len(position_m)):
-        X, Y, Z = position_m[i, 0], position_m[i, 1], position_m[i, 2]
+    for i in range(len(ids)):
+        p = ids[i]
+        X, Y, Z = position_m[p, 0], position_m[p, 1], position_m[p, 2]
         z = T[2, 0] * X + T[2, 1] * Y + T[2, 2] * Z + T[2, 3]
         depth_m[i] = z
         if z <= 0.05:
@@ -120,13 +127,13 @@ def _project(viewer: _Viewer, points: PointGeometry, min_view_cos: float, seen: 
             continue
         dx, dy, dz = X - ox, Y - oy, Z - oz
         distance = np.sqrt(dx * dx + dy * dy + dz * dz)
-        if distance < 0.8 * min_distance_m[i] or distance > 1.2 * max_distance_m[i]:
+        if distance < 0.8 * min_distance_m[p] or distance > 1.2 * max_distance_m[p]:
             continue
-        cosine = (dx * normals[i, 0] + dy * normals[i, 1] + dz * normals[i, 2]) / distance
+        cosine = (dx * normals[p, 0] + dy * normals[p, 1] + dz * normals[p, 2]) / distance
         view_cos[i] = cosine
         if cosine < min_view_cos:
             continue
-        level = int(np.ceil(np.log(max_distance_m[i] / distance) / log_factor))
+        level = int(np.ceil(np.log(max_distance_m[p] / distance) / log_factor))
         octave[i] = min(max(level, 0), n_levels - 1)
         visible[i] = True
 
@@ -172,10 +179,8 @@ class ProjectionMatches:
 def projected(ids: I32, T_cam_world: F64, camera: Camera, world: Map) -> Projection:
     """Project points (P,) of a map into a camera at `T_cam_world` (4, 4)."""
     points = world.points
-    geometry = PointGeometry(
-        points.position_m[ids], points.normal[ids], points.min_distance_m[ids], points.max_distance_m[ids]
-    )
-    return project_points(T_cam_world, camera, world.scales.factors, geometry)
+    geometry = PointGeometry(points.position_m, points.normal, points.min_distance_m, points.max_distance_m)
+    return project_points(T_cam_world, camera, world.scales.factors, geometry, ids=ids)
 
 
 def keyframe_targets(keyframe: int, world: Map) -> Targets:
@@ -199,18 +204,35 @@ def search_around(
         targets: Keypoints to search among.
         window: Search radius and thresholds.
     """
-    projection = projected(ids, T_cam_world, camera, world)
-    at = np.flatnonzero(projection.visible)
-    visible, octave = ids[at], projection.octave[at]
+    p = projected(ids, T_cam_world, camera, world)
     head_on_px = window.radius_px if window.head_on_px is None else window.head_on_px
-    radius_px = np.where(projection.view_cos[at] > HEAD_ON_COS, head_on_px, window.radius_px)
+    visible, px, radius_px, octave, right_px = _windows(
+        ids,
+        _Projected(p.px, p.right_px, p.octave, p.view_cos, p.depth_m, p.visible),
+        float(head_on_px),
+        float(window.radius_px),
+        world.scales.factors,
+    )
     queries = Queries(
-        projection.px[at],
-        (radius_px * world.scales.factors[octave]).astype(np.float32),
-        octave - 1,
-        octave + window.levels_above,
-        projection.right_px[at],
-        world.points.descriptors[visible],
+        px, radius_px, octave - 1, octave + window.levels_above, right_px, world.points.descriptors, visible
     )
     query, target = search_windows(queries, targets, max_bits=window.max_bits, ratio=window.ratio)
-    return ProjectionMatches(visible, visible[query], target, queries.px[query], queries.right_px[query])
+    return ProjectionMatches(visible, visible[query], target, px[query], right_px[query])
+
+
+@njit(nogil=True, cache=True)
+def _windows(
+    ids: I32, seen: _Projected, head_on_px: float, radius_px: float, scale_factors: F64
+) -> tuple[I32, F32, F32, I32, F32]:
+    """Return the visible points (V,), where they are expected, their windows, octaves and right coordinates."""
+    px, right_px, octave, view_cos, _, visible = seen
+    n_visible = np.count_nonzero(visible)
+    point, wide_px = np.empty(n_visible, np.int32), np.empty(n_visible, np.float32)
+    at = np.empty(n_visible, np.int64)
+    n = 0
+    for i in range(len(ids)):
+        if visible[i]:
+            base_px = head_on_px if view_cos[i] > np.float32(HEAD_ON_COS) else radius_px
+            at[n], point[n], wide_px[n] = i, ids[i], base_px * scale_factors[octave[i]]
+            n += 1
+    return point, px[at], wide_px, octave[at], right_px[at]

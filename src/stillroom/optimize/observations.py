@@ -21,11 +21,16 @@ MIN_DEPTH_M = 1e-3
 # Keypoints as the optimisers want them.
 
 
+@njit(nogil=True, cache=True)
 def observed_px(px: Floats, right_px: Floats) -> F64:
     """Return u, v, u_right (N, 3) [px] of keypoints at (N, 2) with right coordinates (N,), −1 for none."""
-    return np.column_stack((px, np.maximum(right_px, 0.0))).astype(np.float64)
+    observed = np.empty((len(px), 3))
+    for i in range(len(px)):
+        observed[i, 0], observed[i, 1], observed[i, 2] = px[i, 0], px[i, 1], max(right_px[i], 0.0)
+    return observed
 
 
+@njit(nogil=True, cache=True)
 def weights(octave: Ints, right_px: Floats, inverse_variances: Floats) -> F64:
     """Return inverse variances (N, 3) [1/px²]; the third is 0 where there is no right coordinate.
 
@@ -34,8 +39,12 @@ def weights(octave: Ints, right_px: Floats, inverse_variances: Floats) -> F64:
         right_px: Right coordinates (N,), −1 for none.
         inverse_variances: Weight on each level (L,) [1/px²].
     """
-    weight = np.asarray(inverse_variances, dtype=np.float64)[octave]
-    return np.stack((weight, weight, np.where(right_px >= 0, weight, 0.0)), axis=1)
+    weight = np.empty((len(octave), 3))
+    for i in range(len(octave)):
+        weight[i, :] = inverse_variances[octave[i]]
+        if not right_px[i] >= 0:
+            weight[i, 2] = 0.0
+    return weight
 
 
 def intrinsics_of(camera: Camera) -> F64:

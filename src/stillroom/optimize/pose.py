@@ -175,6 +175,36 @@ def minimize_pose(
     return T, False
 
 
+@njit(nogil=True, cache=True)
+def robust_pose(
+    guess: F64, seen: Seen, rounds: int, iterations: int, limits: tuple[float, float], chi2: F64, is_inlier: Bool
+) -> F64:
+    """Run rounds of `minimize_pose`, a classification after each, as `PoseOptimizer` tells; return the pose (4, 4).
+
+    Args:
+        guess: Where to start, T_cam_world (4, 4).
+        seen: The observations.
+        rounds: Most rounds.
+        iterations: Most steps of a round.
+        limits: On χ², without and with a right coordinate.
+        chi2, is_inlier: What is written, (N,).
+    """
+    T = guess
+    is_inlier[:] = False
+    classify(guess, seen, (np.inf, np.inf), chi2, is_inlier)
+    for number in range(rounds):
+        if np.count_nonzero(is_inlier) < MIN_OBSERVATIONS:
+            break
+        T, converged = minimize_pose(T, seen, is_inlier, iterations, limits if number < 3 else (np.inf, np.inf))
+        changed = classify(T, seen, limits, chi2, is_inlier)
+        if converged and changed == 0:
+            break
+    if np.count_nonzero(is_inlier) < MIN_OBSERVATIONS:
+        classify(guess, seen, (-1.0, -1.0), chi2, is_inlier)
+        return guess
+    return T
+
+
 @dataclass(frozen=True)
 class PoseEstimate:
     """An optimised pose and its inliers.
@@ -216,27 +246,6 @@ class PoseOptimizerConfig:
         return PoseOptimizer(self)
 
 
-class _Problem:
-    """One call's arrays, as the kernels take them, and its scratch."""
-
-    def __init__(
-        self, points_world_m: Floats, observed_px: Floats, weights: Floats, camera: Camera, p_static: Floats | None
-    ) -> None:
-        points, observed, variances = (
-            np.ascontiguousarray(array, dtype=np.float64).reshape(-1, 3)
-            for array in (points_world_m, observed_px, weights)
-        )
-        n = len(points)
-        likely = np.ones(n) if p_static is None else np.ascontiguousarray(p_static, dtype=np.float64)
-        self.seen = Seen(points, observed, variances, likely, intrinsics_of(camera))
-        self.chi2 = np.empty(n)
-        self.is_inlier = np.zeros(n, dtype=np.bool_)
-
-    def classify(self, T_cam_world: F64, limits: tuple[float, float]) -> int:
-        """Classify every observation; return how many changed."""
-        return int(classify(T_cam_world, self.seen, limits, self.chi2, self.is_inlier))
-
-
 class PoseOptimizer:
     """Estimates a camera's pose from known points, robust to wrong matches."""
 
@@ -272,21 +281,15 @@ class PoseOptimizer:
                 weighs the robust cost; whether an observation is an inlier depends on its χ² alone. All 1 by default.
         """
         config = self.config
-        guess = np.array(T_cam_world_guess, dtype=np.float64)
-        problem = _Problem(points_world_m, observed_px, weights, camera, p_static)
+        n = len(points_world_m)
+        points, observed, variances = (
+            np.ascontiguousarray(array, dtype=np.float64).reshape(-1, 3)
+            for array in (points_world_m, observed_px, weights)
+        )
+        likely = np.ones(n) if p_static is None else np.ascontiguousarray(p_static, dtype=np.float64)
+        seen = Seen(points, observed, variances, likely, intrinsics_of(camera))
+        chi2, is_inlier = np.empty(n), np.empty(n, dtype=np.bool_)
+        guess = np.array(T_cam_world_guess, dtype=np.float64, order="C")
         limits = config.chi2_2d, config.chi2_3d
-        problem.classify(guess, (np.inf, np.inf))
-        T = guess
-        for round_index in range(config.rounds):
-            if np.count_nonzero(problem.is_inlier) < MIN_OBSERVATIONS:
-                break
-            robust = round_index < 3
-            deltas2 = limits if robust else (np.inf, np.inf)
-            T, converged = minimize_pose(T, problem.seen, problem.is_inlier, config.iterations, deltas2)
-            changed = problem.classify(T, limits)
-            if converged and not changed:
-                break
-        if np.count_nonzero(problem.is_inlier) < MIN_OBSERVATIONS:
-            problem.classify(guess, (-1.0, -1.0))
-            T = guess
-        return PoseEstimate(T, problem.is_inlier, problem.chi2)
+        T = robust_pose(guess, seen, config.rounds, config.iterations, limits, chi2, is_inlier)
+        return PoseEstimate(T, is_inlier, chi2)

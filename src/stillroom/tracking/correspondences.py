@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from stillroom.compiled import njit
 from stillroom.data.frame import Frame
 from stillroom.data.map import Map
 from stillroom.data.matches import Matches
@@ -9,7 +10,7 @@ from stillroom.data.result import Tracked
 from stillroom.features.matching import Queries, Targets, consistent_rotation, match_anywhere, search_windows
 from stillroom.features.projection import Window, search_around
 from stillroom.geometry import se3
-from stillroom.geometry.arrays import F64, I32, Bool
+from stillroom.geometry.arrays import F64, I32, I64, Bool
 
 
 def targets_of(frame: Frame, usable: Bool) -> Targets:
@@ -31,9 +32,8 @@ def with_last_frame(frame: Frame, last: Tracked, T_cam_world: F64, world: Map, r
         radius_px: Window on the finest level; wider on coarser ones.
     """
     assert last.T_world_cam is not None
-    seen = np.flatnonzero(last.point_ids >= 0)
     # Points that mapping fused since the last frame are searched once.
-    seen = np.sort(seen[np.unique(last.point_ids[seen], return_index=True)[1]])
+    seen = _first_sights(last.point_ids, len(world.points))
     ids = last.point_ids[seen]
     points_cam = se3.transform(T_cam_world, world.points.position_m[ids])
     ahead = points_cam[:, 2] > 0.05
@@ -53,11 +53,26 @@ def with_last_frame(frame: Frame, last: Tracked, T_cam_world: F64, world: Map, r
         low,
         high,
         camera.right_coordinate(px[:, 0], points_cam[:, 2]),
-        world.points.descriptors[ids],
+        world.points.descriptors,
+        ids,
     )
     query, target = search_windows(queries, targets_of(frame, frame.is_static))
     steady = consistent_rotation(keypoints.angle_rad[seen[query]], frame.keypoints.angle_rad[target])
     return Matches(target, ids[query], keypoints.px[seen[query]]).keep(steady)
+
+
+@njit(nogil=True, cache=True)
+def _first_sights(point_ids: I32, n_points: int) -> I64:
+    """Return the keypoints (K,) that see a point, −1 for none, which no keypoint before them sees."""
+    is_seen = np.zeros(n_points, np.bool_)
+    first = np.empty(len(point_ids), np.int64)
+    n = 0
+    for i in range(len(point_ids)):
+        if point_ids[i] >= 0 and not is_seen[point_ids[i]]:
+            is_seen[point_ids[i]] = True
+            first[n] = i
+            n += 1
+    return first[:n]
 
 
 def with_keyframe(frame: Frame, keyframe: int, world: Map) -> Matches:

@@ -219,9 +219,9 @@ class Tracker:
             self._velocity.forget()
             self._last, self._T_reference_last = None, None
             return
-        last = self._last_as_known_now(world)
-        if last is not None and last.T_world_cam is not None:
-            self._velocity.update(last.T_world_cam, tracked.T_world_cam)
+        T_world_last = self._last_pose_as_known_now(world)
+        if T_world_last is not None:
+            self._velocity.update(T_world_last, tracked.T_world_cam)
         self._frames_since_recovery = 0 if tracked.recovered else self._frames_since_recovery + 1
         self._last = tracked
         self._T_reference_last = se3.inverse(world.keyframe_pose(tracked.reference_keyframe)) @ tracked.T_world_cam
@@ -232,10 +232,16 @@ class Tracker:
 
     def _last_as_known_now(self, world: Map) -> Tracked | None:
         """Return the last frame with pose and points updated by mapping since."""
+        if self._last is None:
+            return None
+        T_world_last = self._last_pose_as_known_now(world)
+        return replace(self._last, T_world_cam=T_world_last, point_ids=world.current_ids(self._last.point_ids))
+
+    def _last_pose_as_known_now(self, world: Map) -> F64 | None:
         if self._last is None or self._T_reference_last is None:
             return None
-        T_world_last = world.keyframe_pose(self._last.reference_keyframe) @ self._T_reference_last
-        return replace(self._last, T_world_cam=T_world_last, point_ids=world.current_ids(self._last.point_ids))
+        T_world_last: F64 = world.keyframe_pose(self._last.reference_keyframe) @ self._T_reference_last
+        return T_world_last
 
     def _with_motion_model(
         self, frame: Frame, last: Tracked, guess: F64, semantics: Pending[Semantics], world: Map

@@ -10,6 +10,7 @@ temporary folder that ends with the process.
 
 import atexit
 import functools
+import importlib
 import inspect
 import logging
 import os
@@ -24,6 +25,7 @@ from typing import Any
 
 import numba
 from numba.core import event
+from numba.core.runtime import rtsys
 
 from stillroom.data.locations import cache_folder
 from stillroom.errors import ConfigError
@@ -49,7 +51,8 @@ def njit(signature_or_function: Any = None, **options: Any) -> Any:
         if not options.get("cache"):
             return numba.njit(signature_or_function, **options)(function)
         with _cache_in_place() as is_there:
-            return _with_safe_cache(numba.njit(signature_or_function, **options | {"cache": is_there})(function))
+            kernel = numba.njit(signature_or_function, **options | {"cache": is_there})(function)
+            return _with_safe_cache(kernel) if is_there else kernel
 
     return decorate
 
@@ -59,13 +62,18 @@ def _with_safe_cache(kernel: Any) -> Any:
 
     An entry names the classes of the kernel's arguments. One that was written before such a class was renamed or moved
     cannot be read any more; numba would raise what `pickle` does.
+
+    Numba's own `load_overload` makes the whole compiler ready first, which takes a third of a second; whoever compiles
+    does so by itself.
     """
     cache = kernel._cache
-    load, save = cache.load_overload, cache.save_overload
+    save = cache.save_overload
 
     def load_overload(signature: Any, target: Any) -> Any:
+        _make_linkable(target)
         try:
-            return load(signature, target)
+            with cache._guard_against_spurious_io_errors():
+                return cache._load_overload(signature, target)
         except (AttributeError, ImportError, EOFError, pickle.UnpicklingError) as error:
             logger.info("%s: a cached kernel is out of date (%s); it is compiled again", cache.cache_path, error)
             cache.flush()
@@ -79,6 +87,13 @@ def _with_safe_cache(kernel: Any) -> Any:
 
     cache.load_overload, cache.save_overload = load_overload, save_overload
     return kernel
+
+
+@functools.cache
+def _make_linkable(target: Any) -> None:
+    """Make ready, once, all that machine code from the cache may name: memory with counts, and the seeds of hashes."""
+    rtsys.initialize(target)
+    importlib.import_module("numba.cpython.hashing")
 
 
 @functools.cache

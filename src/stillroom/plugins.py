@@ -10,8 +10,8 @@ import functools
 import sys
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from importlib.metadata import EntryPoint, EntryPoints, entry_points
-from typing import Generic, TypeVar
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any, Generic, TypeVar
 
 from stillroom.errors import ConfigError
 
@@ -97,7 +97,7 @@ class PluginGroup(Generic[T]):
 
 
 @functools.lru_cache(maxsize=1)
-def _installed(search_path: tuple[str, ...]) -> EntryPoints:
+def _installed(search_path: tuple[str, ...]) -> Any:
     """Return the entry points of all packages on `sys.path`, read once: that opens a file of each package."""
     return entry_points()
 

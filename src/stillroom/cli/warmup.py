@@ -78,7 +78,7 @@ class _Lines:
         if self._first < 0:
             self._first, self._start_s = done, time.perf_counter()
         quarters = self.QUARTERS * (done - self._first) // max(total - self._first, 1)
-        if quarters > self._told and kernel:
+        if quarters > self._told and done < total:
             self._told = quarters
             left_s = (time.perf_counter() - self._start_s) * (total - done) / (done - self._first)
             self._console.print(f"{done}/{total} kernels compiled; about {left_s:.0f} s left", highlight=False)

@@ -125,7 +125,7 @@ def _compile_listed(progress: WarmUpProgress | None, renderer: bool) -> set[str]
             progress(_shortened(name), n_done, n_all)
 
     compile_in_processes(left, done, n_processes())
-    return compiled
+    return compiled & set(kernels())  # numba compiles functions of its own, too
 
 
 def kernels() -> dict[str, Any]:

@@ -275,3 +275,70 @@ runpy.run_path({program!r})
     assert done.stdout.split()[:2] == ["0", "1"]
     assert done.stderr.count("a compiled kernel cannot be written (No space left on device)") == 1
     assert "Traceback" not in done.stderr
+
+
+AT_ONCE = """
+import sys
+from stillroom.compiled import njit
+
+@njit(cache=True)
+def plus_one(x):
+    return x + 1
+
+sys.stdin.readline()
+print(plus_one({"int": 1, "float": 1.5, "complex": 1j}[sys.argv[1]]), sum(plus_one.stats.cache_hits.values()))
+"""
+
+
+def test_processes_that_write_at_once_keep_the_machine_code_of_all(tmp_path: Path) -> None:
+    """They choose a name for a file at the same time; none may lose its own, nor find another's code under its name."""
+    file = tmp_path / "at_once.py"
+    file.write_text(AT_ONCE, encoding="utf-8")
+    environment = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
+    environment |= {"XDG_CACHE_HOME": str(tmp_path / "cache")}
+    for n_hits in (0, 1):
+        started = [
+            subprocess.Popen(
+                [sys.executable, str(file), kind],
+                env=environment,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                text=True,
+            )
+            for kind in ("int", "float", "complex")
+        ]
+        for process in started:
+            assert process.stdin is not None
+            process.stdin.write("go\n")
+            process.stdin.flush()
+        said = [process.communicate()[0].split() for process in started]
+        assert said == [["2", str(n_hits)], ["2.5", str(n_hits)], ["(1+1j)", str(n_hits)]]
+
+
+def test_a_kernel_from_the_cache_runs_without_numbas_compiler(tmp_path: Path) -> None:
+    code = f"import sys{PROJECT_KERNEL}\nprint('numba.np.npyimpl' in sys.modules)"
+    assert answer("-c", code, XDG_CACHE_HOME=str(tmp_path))[-1] == "True"
+    assert answer("-c", code, XDG_CACHE_HOME=str(tmp_path))[-1] == "False"
+
+
+SWAPPED = """
+import pathlib, sys
+from stillroom.compiled import njit
+
+@njit(cache=True)
+def plus_one(x):
+    return x + 1
+
+if len(sys.argv) > 1:
+    first, second = sorted(pathlib.Path(plus_one.stats.cache_path).glob("*.nbc"))
+    first.write_bytes(second.read_bytes())
+print(plus_one(1), plus_one(1.5))
+"""
+
+
+def test_machine_code_for_other_arguments_is_not_taken(tmp_path: Path) -> None:
+    file = tmp_path / "swapped.py"
+    file.write_text(SWAPPED, encoding="utf-8")
+    variables = {"XDG_CACHE_HOME": str(tmp_path / "cache")}
+    assert answer(str(file), **variables) == ["2", "2.5"]
+    assert answer(str(file), "swap", **variables) == ["2", "2.5"]

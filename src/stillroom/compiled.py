@@ -10,24 +10,30 @@ temporary folder that ends with the process.
 
 import atexit
 import functools
+import importlib
 import inspect
 import logging
 import os
 import pickle
 import shutil
+import sys
 import tempfile
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 import numba
 from numba.core import event
+from numba.core.runtime import rtsys
 
 from stillroom.data.locations import cache_folder
 from stillroom.errors import ConfigError
 from stillroom.version import __version__
+
+if sys.platform != "win32":
+    import fcntl
 
 logger = logging.getLogger(__name__)
 # The version is part of the path because numba asks only of a kernel's own file whether it changed, not of the files of
@@ -49,7 +55,8 @@ def njit(signature_or_function: Any = None, **options: Any) -> Any:
         if not options.get("cache"):
             return numba.njit(signature_or_function, **options)(function)
         with _cache_in_place() as is_there:
-            return _with_safe_cache(numba.njit(signature_or_function, **options | {"cache": is_there})(function))
+            kernel = numba.njit(signature_or_function, **options | {"cache": is_there})(function)
+            return _with_safe_cache(kernel) if is_there else kernel
 
     return decorate
 
@@ -59,13 +66,18 @@ def _with_safe_cache(kernel: Any) -> Any:
 
     An entry names the classes of the kernel's arguments. One that was written before such a class was renamed or moved
     cannot be read any more; numba would raise what `pickle` does.
+
+    Numba's own `load_overload` makes the whole compiler ready first, which takes a third of a second; whoever compiles
+    does so by itself.
     """
     cache = kernel._cache
-    load, save = cache.load_overload, cache.save_overload
+    save = cache.save_overload
 
     def load_overload(signature: Any, target: Any) -> Any:
+        _make_linkable(target)
         try:
-            return load(signature, target)
+            with cache._guard_against_spurious_io_errors():
+                return _checked(cache._load_overload(signature, target), signature)
         except (AttributeError, ImportError, EOFError, pickle.UnpicklingError) as error:
             logger.info("%s: a cached kernel is out of date (%s); it is compiled again", cache.cache_path, error)
             cache.flush()
@@ -73,12 +85,56 @@ def _with_safe_cache(kernel: Any) -> Any:
 
     def save_overload(signature: Any, data: Any) -> None:
         try:
-            save(signature, data)
+            with _one_at_a_time(Path(cache.cache_path)):
+                save(signature, data)
         except OSError as error:
             _say_not_kept(str(cache.cache_path), error.strerror or str(error))
 
     cache.load_overload, cache.save_overload = load_overload, save_overload
     return kernel
+
+
+def _checked(loaded: Any, signature: Any) -> Any:
+    """Return machine code from the cache, if it is for these arguments; None where another process was in between."""
+    arguments = getattr(signature, "args", signature)
+    return loaded if loaded is None or tuple(loaded.signature.args) == tuple(arguments) else None
+
+
+@contextmanager
+def _one_at_a_time(folder: Path) -> Iterator[None]:
+    """Keep other processes from writing kernels there while this is open, as far as the system can lock a file.
+
+    Numba reads the list of a kernel's files, chooses a name that is free, and writes both: of two processes with other
+    arguments at the same time, one would take the other's machine code for its own.
+    """
+    if sys.platform == "win32":  # which has no such locks
+        yield
+        return
+    folder.mkdir(parents=True, exist_ok=True)
+    with (folder / "lock").open("ab") as file:
+        with suppress(OSError):  # a file system without locks
+            fcntl.flock(file, fcntl.LOCK_EX)
+        yield  # closing the file lets go
+
+
+def cached_signatures(kernel: Any) -> set[Any]:
+    """Return for which arguments, as tuples of numba's types, a kernel's machine code is in the cache."""
+    cache = kernel._cache
+    if not hasattr(cache, "_cache_file"):  # a kernel that is not cached, as nothing can be written
+        return set()
+    try:
+        keys = list(cache._cache_file._load_index())
+    except (AttributeError, ImportError, EOFError, OSError, pickle.UnpicklingError):  # out of date: see above
+        return set()
+    codegen = kernel.targetctx.codegen()
+    return {key[0] for key in keys if key == cache._index_key(key[0], codegen)}
+
+
+@functools.cache
+def _make_linkable(target: Any) -> None:
+    """Make ready, once, all that machine code from the cache may name: memory with counts, and the seeds of hashes."""
+    rtsys.initialize(target)
+    importlib.import_module("numba.cpython.hashing")
 
 
 @functools.cache
@@ -111,6 +167,11 @@ def _say_once() -> None:
 def kernel_cache() -> Path | None:
     """Return the folder in which compiled kernels are kept, which need not exist yet; None where there is no home."""
     return Path(numba.config.CACHE_DIR) if numba.config.CACHE_DIR else _our_folder()
+
+
+def working_folder() -> Path | None:
+    """Return the folder in which this process keeps kernels: `kernel_cache()`, or one for now; None without any."""
+    return _working_folder(kernel_cache())
 
 
 def is_kept() -> bool:

@@ -6,10 +6,12 @@ A package names what it adds in its `pyproject.toml`; `CONTRIBUTING.md` shows th
     my-slam = "my_package.my_slam:METHOD"
 """
 
+import functools
+import sys
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 from stillroom.errors import ConfigError
 
@@ -86,11 +88,18 @@ class PluginGroup(Generic[T]):
 
     def _entries(self) -> list[EntryPoint]:
         """Return the entry points in an order that does not depend on that of the installed packages on disk."""
-        return sorted(entry_points(group=self.group), key=lambda entry: (entry.name, entry.value))
+        found = _installed(tuple(sys.path)).select(group=self.group)
+        return sorted(found, key=lambda entry: (entry.name, entry.value))
 
     def _refuse_taken(self, entry: EntryPoint, name: str, taken: Iterable[str]) -> None:
         if name in taken:
             raise ConfigError(f"{_origin(entry)}: there is a {self.noun} '{name}' already; it needs another name")
+
+
+@functools.lru_cache(maxsize=1)
+def _installed(search_path: tuple[str, ...]) -> Any:
+    """Return the entry points of all packages on `sys.path`, read once: that opens a file of each package."""
+    return entry_points()
 
 
 def _origin(entry: EntryPoint) -> str:

@@ -37,7 +37,7 @@ IMPOSTOR = Method("oc-slam", "takes a name that is taken", SlamConfig(method="oc
 def install(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
     entry = EntryPoint("mine", f"{__name__}:{name}", registry.PLUGINS.group)
     monkeypatch.setattr(EntryPoint, "load", lambda self: globals()[self.attr])
-    monkeypatch.setattr(plugins, "entry_points", lambda group: EntryPoints([entry]).select(group=group))
+    monkeypatch.setattr(plugins, "_installed", lambda search_path: EntryPoints([entry]))
 
 
 def test_the_presets_are_rows_of_the_table() -> None:

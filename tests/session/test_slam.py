@@ -326,3 +326,25 @@ with said_when_compiling():
 """
     done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
     assert done.stdout.count("compiling kernels, which takes a minute or two, once; 'stillroom warmup'") == 1
+
+
+FIRST_POSE = """
+import sys
+import numpy as np
+import stillroom as sr
+
+camera = sr.Camera(640, 480, 525.0, 525.0, 319.5, 239.5)
+gray = np.kron(np.random.default_rng(0).integers(0, 256, (60, 80), dtype=np.uint8), np.ones((8, 8), dtype=np.uint8))
+image = sr.RgbdImage(0.0, np.repeat(gray[:, :, None], 3, axis=2), np.full((480, 640), 2.0, dtype=np.float32))
+slam = sr.Slam("oc-slam", camera)
+assert slam.process(image).T_world_cam is not None
+print(*sorted({name.partition(".")[0] for name in sys.modules}), *sys.modules)
+"""
+
+
+def test_a_first_pose_needs_neither_scipy_nor_plots_nor_the_warm_up():
+    done = subprocess.run([sys.executable, "-c", FIRST_POSE], check=True, capture_output=True, text=True)
+    loaded = set(done.stdout.split())
+    assert {"numba", "cv2", "onnxruntime"} <= loaded
+    unneeded = {"matplotlib", "scipy.linalg", "scipy.signal", "scipy.sparse", "scipy.spatial", "stillroom.warmup"}
+    assert loaded & unneeded == set()

@@ -1,7 +1,16 @@
 """`stillroom warmup`, and the progress line that other commands show when kernels are not compiled yet."""
 
+import time
+
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 
 from stillroom.cli.output import STDERR, print_lines
 from stillroom.compiled import is_kept, kernel_cache
@@ -35,14 +44,41 @@ def ensure_warm(console: Console, renderer: bool = False) -> None:
 
 
 def with_progress(console: Console, renderer: bool) -> WarmUp:
-    """Compile or load the kernels, with a progress bar."""
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    """Compile or load the kernels, with a progress bar and the time left; without a terminal, a line now and then."""
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
     if not console.is_terminal:
         console.print("loading kernels; those not compiled yet are, which takes a minute or two, once …")
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        return warm_up(_Lines(console), renderer)
+    # Kernels take from half a second to ten: over a few of them the time left would jump.
+    with Progress(*columns, console=console, transient=True, speed_estimate_period=300.0) as bar:
         task = bar.add_task("loading kernels", total=None)
 
         def show(kernel: str, done: int, total: int) -> None:
             bar.update(task, description=f"compiling kernels (once) {kernel}", completed=done, total=total)
 
         return warm_up(show, renderer)
+
+
+class _Lines:
+    """Prints how far a compilation is each time that a quarter of what was to be done is done."""
+
+    QUARTERS = 4
+
+    def __init__(self, console: Console) -> None:
+        self._console, self._told = console, 0
+        self._first, self._start_s = -1, 0.0
+
+    def __call__(self, kernel: str, done: int, total: int) -> None:
+        if self._first < 0:
+            self._first, self._start_s = done, time.perf_counter()
+        quarters = self.QUARTERS * (done - self._first) // max(total - self._first, 1)
+        if quarters > self._told and done < total:
+            self._told = quarters
+            left_s = (time.perf_counter() - self._start_s) * (total - done) / (done - self._first)
+            self._console.print(f"{done}/{total} kernels compiled; about {left_s:.0f} s left", highlight=False)

@@ -1,10 +1,10 @@
 """Removal from the map: dynamic points, free-space carving by later rays, and what was seen only briefly."""
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import cv2
 import numpy as np
-from scipy.spatial import cKDTree
 
 from stillroom.bounds import bounded
 from stillroom.compiled import njit
@@ -48,7 +48,11 @@ class MovingPoints:
     def __init__(self, points_world_m: F64) -> None:
         """Take the points (M, 3) [m, world]."""
         self._points_m = points_world_m
-        self._tree = cKDTree(points_world_m, balanced_tree=False, compact_nodes=False) if len(points_world_m) else None
+        self._tree: Any = None
+        if len(points_world_m):
+            from scipy.spatial import cKDTree
+
+            self._tree = cKDTree(points_world_m, balanced_tree=False, compact_nodes=False)
 
     def near(self, candidates_world_m: Floats, radius_m: float) -> Bool:
         """Return which candidates (N, 3) lie within a radius of the points, (N,)."""

@@ -12,7 +12,6 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from stillroom.evaluation.ghost_views import DepthView, settled, sightings
 from stillroom.evaluation.trajectory_errors import Statistics
@@ -122,6 +121,8 @@ def distances_m(from_m: Floats, to_m: Floats, at_most_m: float) -> F64:
     """Return the distance [m] of each point (N, 3) to the nearest of others (M, 3); infinite beyond a bound."""
     if len(from_m) == 0 or len(to_m) == 0:
         return np.full(len(from_m), np.inf)
+    from scipy.spatial import cKDTree
+
     # The tree leaves out what lies exactly at its bound.
     nearest_m, _ = cKDTree(to_m).query(from_m, distance_upper_bound=np.nextafter(at_most_m, np.inf))
     return np.asarray(nearest_m, dtype=np.float64)

@@ -3,8 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import minimize_scalar
-from scipy.signal import correlate
 
 from stillroom.data.association import TUM_MAX_GAP_S
 from stillroom.data.trajectory import Trajectory
@@ -130,6 +128,8 @@ def estimate_offset_s(estimate: Trajectory, groundtruth: Trajectory) -> float:
         moved_m = align(source_m, truth.positions_m, with_scale=False).points(source_m)
         return float(np.sqrt(np.mean(np.sum((moved_m - truth.positions_m) ** 2, axis=1))))
 
+    from scipy.optimize import minimize_scalar
+
     # The correction, not the offset: of one near 1e9 s the search would see no step.
     bounds = (-REFINED_WITHIN_S, REFINED_WITHIN_S)
     return rough_s + float(minimize_scalar(error_m, bounds=bounds, method="bounded", options={"xatol": 1e-4}).x)
@@ -156,6 +156,8 @@ def _speeds(trajectory: Trajectory, turning: bool, over_s: float) -> F64:
 
 def _best_lag(first: F64, second: F64) -> tuple[float, int]:
     """Return the highest normalised correlation, and the place in `second` at which `first` then starts."""
+    from scipy.signal import correlate
+
     ones_first, ones_second = np.ones_like(first), np.ones_like(second)
     n = correlate(ones_second, ones_first, method="fft")
     sum_1, sum_2 = (correlate(*pair, method="fft") for pair in ((ones_second, first), (second, ones_first)))

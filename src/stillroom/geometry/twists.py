@@ -4,7 +4,6 @@ Twists are (ρ [m], φ [rad]), as in `se3.exp`. Formulas: Barfoot, State Estimat
 """
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from stillroom.geometry.arrays import F64, Floats
 
@@ -14,6 +13,8 @@ _SMALL_RAD = 0.05
 
 def exp(twists: Floats) -> F64:
     """Return the motions (N, 4, 4) of twists (N, 6)."""
+    from scipy.spatial.transform import Rotation
+
     rho, phi = np.asarray(twists, dtype=np.float64)[:, :3], np.asarray(twists, dtype=np.float64)[:, 3:]
     W = skew(phi)
     _, b, c, _, _ = _coefficients(np.linalg.norm(phi, axis=1))
@@ -27,6 +28,8 @@ def exp(twists: Floats) -> F64:
 
 def log(T_a_b: Floats) -> F64:
     """Return the twists (N, 6) of motions (N, 4, 4); rotation vectors are at most π long."""
+    from scipy.spatial.transform import Rotation
+
     phi = np.asarray(Rotation.from_matrix(T_a_b[:, :3, :3]).as_rotvec(), dtype=np.float64)
     rho = np.einsum("nij,nj->ni", _inverse_left_jacobian_so3(phi), T_a_b[:, :3, 3])
     return np.concatenate((rho, phi), axis=1)

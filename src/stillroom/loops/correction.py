@@ -4,8 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_matrix, csr_matrix
-from scipy.sparse.csgraph import connected_components, dijkstra
 
 from stillroom.data.map import Map
 from stillroom.features.matching import NEAR_BITS
@@ -70,11 +68,14 @@ def paths_from(keyframe: int, edges: I64, world: Map) -> F64:
 
     An edge is as long as its keyframes are apart, and a rotation of one radian counts as a metre: both cause drift.
     """
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import dijkstra
+
     poses = world.keyframes.T_world_cam
     apart = se3.inverse(poses[edges[:, 0]]) @ poses[edges[:, 1]]
     length_m = np.linalg.norm(apart[:, :3, 3], axis=1) + se3.angle_rad(apart)
     n = len(world.keyframes)
-    graph: csr_matrix = coo_matrix((length_m + 1e-9, (edges[:, 0], edges[:, 1])), shape=(n, n)).tocsr()
+    graph = coo_matrix((length_m + 1e-9, (edges[:, 0], edges[:, 1])), shape=(n, n)).tocsr()
     lengths_m: F64 = dijkstra(graph, directed=False, indices=keyframe)
     return lengths_m
 
@@ -230,6 +231,9 @@ def fuse_group(loop: Loop, place: Sequence[int], group: Sequence[int], camera: C
 
 def connected_to(keyframe: int, edges: I64, world: Map) -> I64:
     """Return the alive keyframes (N,) that edges (E, 2) join with one, itself among them, the oldest first."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
     n = len(world.keyframes)
     graph = coo_matrix((np.ones(len(edges), dtype=np.int8), (edges[:, 0], edges[:, 1])), shape=(n, n))
     _, part = connected_components(graph, directed=False)

@@ -8,8 +8,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.linalg import splu
 
 from stillroom.geometry import se3, twists
 from stillroom.geometry.arrays import F64, I64, Bool, Floats, Ints
@@ -166,6 +164,9 @@ class _NormalEquations:
 
     def solve(self, damping: float) -> F64:
         """Return the step (F, 6) of the free nodes."""
+        from scipy.sparse import coo_matrix
+        from scipy.sparse.linalg import splu
+
         size = 6 * self.n_free
         H = coo_matrix((self._values, (self._rows, self._columns)), shape=(size, size)).tocsc()
         diagonal = H.diagonal()

@@ -6,9 +6,6 @@ Both take the kernels' blocks (see `bundle_kernels`) and return the cameras' ste
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from scipy.linalg.lapack import dpotrf, dpotrs
-from scipy.sparse import bsr_matrix, csr_matrix, tril
-from scipy.sparse.linalg import splu
 
 from stillroom.compiled import njit
 from stillroom.geometry.arrays import F64, I32, I64
@@ -53,6 +50,8 @@ class DenseSystem:
 
     def solve(self, blocks: Blocks, factors: F64, damping: float) -> F64 | None:
         """Return the damped step (F, 6); None where there is none."""
+        from scipy.linalg.lapack import dpotrf, dpotrs
+
         S, rhs = self._S, self._rhs
         reduce_to_cameras(self._order, blocks, factors, damping, self._scratch, S, rhs)
         size = rhs.size
@@ -67,6 +66,8 @@ class SparseSystem:
     """A factorisation with the sparsity of shared points: blocks of the lower triangle, row by row."""
 
     def __init__(self, n_free: int, order: Order) -> None:
+        from scipy.sparse import csr_matrix, tril
+
         self._order, self._scratch = order, _scratch(order.starts)
         starts, slots = order
         point = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
@@ -81,6 +82,9 @@ class SparseSystem:
 
     def solve(self, blocks: Blocks, factors: F64, damping: float) -> F64 | None:
         """Return the damped step (F, 6); None where there is none."""
+        from scipy.sparse import bsr_matrix, tril
+        from scipy.sparse.linalg import splu
+
         S = self._S
         reduce_sparsely(self._order, blocks, factors, damping, self._scratch, S, self._rhs)
         size = self._rhs.size

@@ -17,7 +17,7 @@ from numba.core import event
 from numba.core.registry import CPUDispatcher
 
 from stillroom.compiled import is_kept, kernel_cache
-from stillroom.warmup import work
+from stillroom.warmup.processes import WORTH_IT, compile_in_processes, missing, n_processes
 
 logger = logging.getLogger(__name__)
 PACKAGES = "stillroom", "stillroom_scenes"
@@ -94,8 +94,11 @@ def warm_up(progress: WarmUpProgress | None = None, renderer: bool = False) -> W
         progress: Called for each kernel.
         renderer: Whether to compile the synthetic room's kernels too.
     """
+    from stillroom.warmup import work  # imports every part; whoever asks whether all is warm needs none
+
     start_s = time.perf_counter()
-    with _listening(progress) as compiled:
+    compiled = _compile_listed(progress, renderer)
+    with _listening(progress, len(compiled)) as compiled_alone:
         work.do_everything()
         if renderer:
             work.render()
@@ -103,7 +106,26 @@ def warm_up(progress: WarmUpProgress | None = None, renderer: bool = False) -> W
     if progress is not None:
         progress("", n_kernels, n_kernels)
     leave_stamps(renderer)
-    return WarmUp(n_kernels, len(set(compiled)), time.perf_counter() - start_s)
+    return WarmUp(n_kernels, len({*compiled, *compiled_alone}), time.perf_counter() - start_s)
+
+
+def _compile_listed(progress: WarmUpProgress | None, renderer: bool) -> set[str]:
+    """Compile what is known to be needed in several processes, where there are cores; return what was compiled."""
+    left = missing(PACKAGES if renderer else PACKAGES[:1])
+    compiled: set[str] = set()
+    if n_processes() < 2 or len(left) < WORTH_IT:
+        return compiled
+    n_all, n_done = len(kernels()), len(kernels()) - len(left)
+
+    def done(name: str, names: list[str]) -> None:
+        nonlocal n_done
+        n_done += 1
+        compiled.update(_shortened(each) for each in names)
+        if progress is not None:
+            progress(_shortened(name), n_done, n_all)
+
+    compile_in_processes(left, done, n_processes())
+    return compiled & set(kernels())  # numba compiles functions of its own, too
 
 
 def kernels() -> dict[str, Any]:
@@ -117,12 +139,16 @@ def kernels() -> dict[str, Any]:
 
 
 def _name(kernel: Any) -> str:
-    return f"{kernel.py_func.__module__}.{kernel.py_func.__name__}".removeprefix("stillroom.")
+    return _shortened(f"{kernel.py_func.__module__}.{kernel.py_func.__name__}")
+
+
+def _shortened(name: str) -> str:
+    return name.removeprefix("stillroom.")
 
 
 @contextmanager
-def _listening(progress: WarmUpProgress | None) -> Iterator[list[str]]:
-    """Yield a list that receives the name of each kernel that numba compiles, and report them."""
+def _listening(progress: WarmUpProgress | None, n_compiled: int) -> Iterator[list[str]]:
+    """Yield a list that receives the name of each kernel that numba compiles, and report them; some are compiled."""
     compiled: list[str] = []
 
     class Listener(event.Listener):  # type: ignore[misc] # numba has no types
@@ -131,7 +157,8 @@ def _listening(progress: WarmUpProgress | None) -> Iterator[list[str]]:
             known = kernels()
             if name in known:
                 if progress is not None:
-                    progress(name, sum(bool(kernel.signatures) for kernel in known.values()), len(known))
+                    n_ready = sum(bool(kernel.signatures) for kernel in known.values())
+                    progress(name, max(n_ready, n_compiled), len(known))
                 compiled.append(name)
 
         def on_end(self, ended: Any) -> None:

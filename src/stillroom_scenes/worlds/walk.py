@@ -1,7 +1,6 @@
 """Where the camera is that walks a closed way round a building, again and again, at one pace."""
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
 
 from stillroom.geometry.arrays import F64
 from stillroom_scenes.camera_path import HOME_M, LOOK_DOWN_RAD, Hand, Wander, looking
@@ -25,6 +24,8 @@ class Walk:
             seed: Chooses the swings' phases.
             start_m: Where on the line the walk begins.
         """
+        from scipy.ndimage import gaussian_filter1d
+
         line_m = _resampled(corners_m)
         for axis in (0, 1):
             line_m[:, axis] = gaussian_filter1d(line_m[:, axis], ROUNDED_M / STEP_M, mode="wrap")

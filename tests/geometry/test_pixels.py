@@ -1,8 +1,9 @@
-"""Values of images at points."""
+"""The size of pixels, and values of images at points."""
 
 import numpy as np
+import pytest
 
-from stillroom.geometry.pixels import values_at
+from stillroom.geometry.pixels import in_pixels, pixel_scale, values_at
 
 IMAGE = np.arange(12, dtype=np.int16).reshape(3, 4)
 
@@ -22,3 +23,24 @@ def test_outside_it_is_the_nearest_of_the_edge() -> None:
     px = np.array([[-3.0, -0.6], [9.0, -2.0], [-1.0, 7.0], [4.2, 2.6]])
     assert values_at(IMAGE, px).tolist() == [0, 3, 8, 11]
     assert len(values_at(IMAGE, np.zeros((0, 2)))) == 0
+
+
+@pytest.mark.parametrize(
+    ("size", "expected"),
+    [
+        ((640, 480), 1.0),
+        ((480, 640), 1.0),
+        ((640, 360), 1.0),
+        ((1920, 1440), 3.0),
+        ((960, 1280), 2.0),
+        ((160, 120), 0.25),
+    ],
+)
+def test_pixels_are_counted_along_the_longer_side(size: tuple[int, int], expected: float) -> None:
+    assert pixel_scale(*size) == expected
+
+
+def test_whole_lengths_stay_whole_and_do_not_vanish() -> None:
+    assert [in_pixels(length, 1.0) for length in range(100)] == list(range(100))
+    assert [in_pixels(5, scale) for scale in (3.0, 0.6625, 0.25, 0.01)] == [15, 3, 1, 1]
+    assert in_pixels(0, 3.0) == 0

@@ -13,7 +13,7 @@ from stillroom.geometry.camera import Camera
 from stillroom.geometry.pixels import Shape, grown
 
 STEP_PX = 8
-"""Stride of the samples in rows and columns [px]."""
+"""Stride of the samples in rows and columns, in images 640 pixels long [px]."""
 STAYS, MOVES, MOVES_IN_BOX = 0, 1, 2
 """Bits that apply to all pixels of a cluster."""
 
@@ -60,18 +60,19 @@ class Sampler:
 
     def _take(self, frame: Frame, clusters: Clusters) -> ClusterSamples:
         height, width = clusters.labels.shape
-        if self._camera is not frame.camera or self._rays.shape[:2] != (-(-height // STEP_PX), -(-width // STEP_PX)):
-            self._camera, self._rays = frame.camera, _rays(frame.camera, height, width)
-        labels = clusters.labels[::STEP_PX, ::STEP_PX]
-        depth_m = frame.image.depth_m[::STEP_PX, ::STEP_PX].astype(np.float64)
+        step_px = frame.camera.in_pixels(STEP_PX)
+        if self._camera is not frame.camera or self._rays.shape[:2] != (-(-height // step_px), -(-width // step_px)):
+            self._camera, self._rays = frame.camera, _rays(frame.camera, height, width, step_px)
+        labels = clusters.labels[::step_px, ::step_px]
+        depth_m = frame.image.depth_m[::step_px, ::step_px].astype(np.float64)
         on = (labels >= 0) & (depth_m > 0)
         z = depth_m[on][:, None]
         return ClusterSamples(labels[on].astype(np.int64), np.hstack((self._rays[on] * z, z)))
 
 
-def _rays(camera: Camera, height: int, width: int) -> F64:
-    """Return x/z and y/z (h, w, 2) of every `STEP_PX`-th pixel."""
-    column, row = np.meshgrid(np.arange(0, width, STEP_PX), np.arange(0, height, STEP_PX))
+def _rays(camera: Camera, height: int, width: int, step_px: int) -> F64:
+    """Return x/z and y/z (h, w, 2) of every `step_px`-th pixel."""
+    column, row = np.meshgrid(np.arange(0, width, step_px), np.arange(0, height, step_px))
     px = camera.undistort(np.stack((column.ravel(), row.ravel()), axis=1).astype(np.float32))
     rays = camera.back_project(px, np.ones(len(px)))[:, :2]
     return rays.reshape(*column.shape, 2)
@@ -111,7 +112,7 @@ class Belief:
         T_last_now = last.T_cam_world @ se3.inverse(T_cam_world)
         points = se3.transform(T_last_now, samples.points_cam_m)
         ahead = np.flatnonzero(points[:, 2] > 0.1)
-        cell = np.rint(camera.distort(camera.project(points[ahead])) / STEP_PX).astype(np.int64)
+        cell = np.rint(camera.distort(camera.project(points[ahead])) / camera.in_pixels(STEP_PX)).astype(np.int64)
         height, width = last.belief.shape
         inside = (cell >= 0).all(axis=1) & (cell[:, 0] < width) & (cell[:, 1] < height)
         ahead, column, row = ahead[inside], cell[inside, 0], cell[inside, 1]
@@ -128,9 +129,10 @@ class Belief:
 
     def remember(self, frame: Frame, clusters: Clusters, belief: F64, T_cam_world: F64) -> None:
         """Keep the log-odds (K,) of a frame's clusters for the next image."""
-        labels = clusters.labels[::STEP_PX, ::STEP_PX]
+        step_px = frame.camera.in_pixels(STEP_PX)
+        labels = clusters.labels[::step_px, ::step_px]
         padded = np.append(belief, 0.0).astype(np.float32)  # planes and the unknown read the last entry
-        depth_m = frame.image.depth_m[::STEP_PX, ::STEP_PX].copy()
+        depth_m = frame.image.depth_m[::step_px, ::step_px].copy()
         self._last = _Image(frame.timestamp_s, T_cam_world.copy(), padded[np.maximum(labels, -1)], depth_m)
 
 

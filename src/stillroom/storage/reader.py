@@ -72,7 +72,8 @@ def keyframe_images(path: Path) -> Iterator[tuple[int, RgbdImage]]:
 
 def _read(database: sqlite3.Connection) -> StoredMap:
     head = _head(database)
-    world = Map(ScaleLevels(head["scale_factor"], head["n_levels"]))
+    camera = _camera(head)
+    world = Map(ScaleLevels(head["scale_factor"], head["n_levels"], camera.pixel_scale))
     _read_keyframes(database, world)
     _read_points(database, world, head["n_points"])
     edges = database.execute("SELECT older, newer, weight FROM covisibility ORDER BY older, newer").fetchall()
@@ -88,7 +89,7 @@ def _read(database: sqlite3.Connection) -> StoredMap:
     )
     return StoredMap(
         world,
-        _camera(head),
+        camera,
         tuple(Session(*row) for row in sessions),
         tuple(_frame(row) for row in frames),
     )

@@ -4,7 +4,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from stillroom.bounds import bounded
 from stillroom.data.frame import Frame
+from stillroom.dynamics.homography.point_motion import SHRINK
 from stillroom.features.optical_flow import OpticalFlow
 from stillroom.geometry import homography, se3
 from stillroom.geometry.arrays import F64, I64, U8, Bool
@@ -13,7 +15,8 @@ from stillroom.geometry.homography import HomographyFit
 from stillroom.optimize.pose import PoseOptimizerConfig
 
 _FLOW = OpticalFlow(window_px=13, levels=2)
-_CELL_PX = 40
+CELL_PX = 40
+"""Side of the cells over which probes are spread, in images 640 pixels long [px]."""
 
 
 @dataclass(frozen=True)
@@ -34,12 +37,12 @@ class CompensationConfig:
     """
 
     n_probes: int = 200
-    inlier_px: float = 2.0
+    inlier_px: float = bounded(2.0, above=0, pixels=1)
     magsac: bool = True
     refine: bool = True
     symmetric: bool = True
     min_inliers: int = 20
-    pose_sigma_px: float = 0.7
+    pose_sigma_px: float = bounded(0.7, above=0, pixels=1)
     pose: PoseOptimizerConfig = field(default_factory=PoseOptimizerConfig)
 
 
@@ -77,11 +80,12 @@ class Compensation:
         Args:
             frame: The present frame.
             may_move: Keypoints (N,) that are left out.
-            now_half, then_half: Both images at half size.
+            now_half, then_half: Both images at half size; see `ImageView`.
             T_then_now_guess: Where to look first (4, 4).
         """
         config, camera, kp = self.config, frame.camera, frame.keypoints
-        probes = choose_probes(kp.raw_px.astype(np.float64), kp.depth_m > 0, ~may_move, config.n_probes)
+        has_depth, cell_px = kp.depth_m > 0, camera.in_pixels(CELL_PX)
+        probes = choose_probes(kp.raw_px.astype(np.float64), has_depth, ~may_move, config.n_probes, cell_px)
         if len(probes) < config.min_inliers:
             return None
         followed, then_raw_px = _follow(frame, probes, now_half, then_half, T_then_now_guess)
@@ -117,10 +121,10 @@ class Compensation:
         return se3.orthonormalize(estimate.T_cam_world) if enough else None
 
 
-def choose_probes(raw_px: F64, has_depth: Bool, usable: Bool, n: int) -> I64:
-    """Return up to n of the usable points (N, 2), spread over the image, those with depth first, in rising order."""
+def choose_probes(raw_px: F64, has_depth: Bool, usable: Bool, n: int, cell_px: int = CELL_PX) -> I64:
+    """Return up to n of the usable points (N, 2), spread over cells, those with depth first, in rising order."""
     candidates = np.flatnonzero(usable)
-    cell = (raw_px[candidates] // _CELL_PX).astype(np.int64)
+    cell = (raw_px[candidates] // cell_px).astype(np.int64)
     cell_id = cell[:, 0] + 1000 * cell[:, 1]
     order = np.lexsort((~has_depth[candidates], cell_id))
     sorted_id = cell_id[order]
@@ -138,9 +142,12 @@ def _follow(frame: Frame, probes: I64, now_half: U8, then_half: U8, T_then_now: 
     points = se3.transform(T_then_now, camera.back_project(kp.px[probes], depth_m))
     points[:, 2] = np.maximum(points[:, 2], 0.1)
     guess_px = camera.distort(camera.project(points))
-    now_half_px = (0.5 * kp.raw_px[probes] - 0.25).astype(np.float32)
-    start_px = (0.5 * guess_px - 0.25).astype(np.float32)
+    # Pixel centres are at integers: those of a shrunk image lie between those of the whole one.
+    times = camera.in_pixels(SHRINK)
+    off_px = 0.5 - 0.5 / times
+    now_half_px = (1.0 / times * kp.raw_px[probes] - off_px).astype(np.float32)
+    start_px = (1.0 / times * guess_px - off_px).astype(np.float32)
     then_half_px, is_found = _FLOW.follow(now_half, then_half, now_half_px, start_px)
-    then_raw_px = 2.0 * then_half_px.astype(np.float64) + 0.5
+    then_raw_px = times * then_half_px.astype(np.float64) + 0.5 * (times - 1)
     inside = np.all((then_raw_px >= 0) & (then_raw_px <= (camera.width - 1, camera.height - 1)), axis=1)
     return inside & is_found, then_raw_px

@@ -8,9 +8,10 @@ import numpy as np
 
 from stillroom.data.frame import Frame
 from stillroom.data.image import RgbdImage
-from stillroom.dynamics.homography.point_motion import ImageView
+from stillroom.dynamics.homography.point_motion import SHRINK, ImageView
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64, U8
+from stillroom.geometry.pixels import in_pixels, pixel_scale
 
 TOO_OLD_S = 1.0
 """Images older than this show too little of what the present one shows."""
@@ -34,7 +35,8 @@ class EarlierImage:
 
 def view_of(image: RgbdImage) -> ImageView:
     """Return an image as the point test reads it."""
-    return ImageView(_shrunk(image.gray, 2), _shrunk(image.gray, 4), image.depth_m)
+    times = in_pixels(SHRINK, pixel_scale(image.width, image.height))
+    return ImageView(_shrunk(image.gray, times), _shrunk(image.gray, 2 * times), image.depth_m)
 
 
 def _shrunk(gray: U8, times: int) -> U8:

@@ -212,7 +212,7 @@ def build(
     """Put a system together.
 
     Args:
-        config: What it consists of.
+        config: What it consists of; in pixels of images 640 long, whatever the camera's size.
         camera: The calibration of its images.
         segmenter: The segmenter; by default that of the config.
         schedule: When work runs; in order by default.
@@ -228,8 +228,7 @@ def build(
     """
     check(config)
     config = in_pixels_of(config, camera.pixel_scale)
-    clock = clock or StageClock()
-    world = world or Map(config.features.scales(camera))
+    clock, world = clock or StageClock(), world or Map(config.features.scales(camera))
     parts = Parts(camera, world, config.seed, clock)
     segmenter = segmenter or config.semantics.build(parts)
     sieve = timed_part(Asking(config.dynamics.build(parts), world), clock, judge="dynamics", remember="memory")

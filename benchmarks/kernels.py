@@ -100,7 +100,8 @@ def main() -> None:
     cv2.setNumThreads(1)
     dataset = open_dataset(parser.parse_args().sequence)
     images = [dataset.load(int(index)) for index in np.linspace(0, len(dataset) - 1, ROUNDS)]
-    orb, extractor = cv2.ORB_create(1000), OrbConfig().build(Parts(dataset.camera, Map(OrbConfig().scales)))
+    orb, camera = cv2.ORB_create(1000), dataset.camera
+    extractor = OrbConfig().build(Parts(camera, Map(OrbConfig().scales(camera))))
     to_the_end = BundleConfig(min_relative_decrease=0.0)
     size = f"{FREE} + {FIXED} keyframes, {POINTS} points, {OBSERVATIONS} observations"
     work: dict[str, Callable[[int], Callable[[], object]]] = {

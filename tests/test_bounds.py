@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from stillroom.bounds import BOUNDS, Bounds, bounded, check
+from stillroom.bounds import BOUNDS, PIXELS, Bounds, bounded, check, in_pixels_of
 from stillroom.config import SlamConfig, with_overrides
 from stillroom.errors import ConfigError
 from stillroom.presets.registry import OWN, configure
@@ -117,3 +117,61 @@ def test_a_config_made_in_python_is_checked_when_it_is_built() -> None:
     config = dataclasses.replace(config, features=dataclasses.replace(config.features, n_levels=0))
     with pytest.raises(ConfigError, match=r"^'features\.n_levels' is 0; it must be 1 or more$"):
         build(config, TINY_CAMERA)
+
+
+ON_LEVELS = {
+    "dynamics.boxes.keyframe_px",
+    "dynamics.boxes.local_map_px",
+    "dynamics.boxes.motion_model_px",
+    "joining.verification.window_px",
+    "loops.verification.window_px",
+    "low_cost.window_px",
+    "recovery.recognition.narrow_px",
+    "recovery.recognition.wide_px",
+    "tracking.window_px",
+}
+"""Settings in pixels of the finest level of the pyramid, which is 640 pixels long in images of any size."""
+OF_NETWORKS = {"semantics.longer_side_px", "semantics.offset_px", "semantics.step_px", "semantics.input_px"}
+"""Settings in pixels of a network's input."""
+PARTS = (
+    [],
+    ["semantics.kind=mask-files"],
+    ["semantics.kind=onnx-masks"],
+    ["semantics.kind=onnx-boxes"],
+    ["dynamics.kind=paper-epipolar"],
+    ["dynamics.kind=multiview-code"],
+)
+
+
+def settings(config: object, path: str = "") -> dict[str, tuple[int, object]]:
+    """Every setting of a tree by its dotted name: whether it grows with pixels or their squares, and its value."""
+    found: dict[str, tuple[int, object]] = {}
+    for one in dataclasses.fields(config):  # type: ignore[arg-type]
+        value, name = getattr(config, one.name), f"{path}{one.name}"
+        own = settings(value, f"{name}.") if dataclasses.is_dataclass(value) else {}
+        found |= own or {name: (one.metadata.get(PIXELS, 0), value)}
+    return found
+
+
+@pytest.mark.parametrize("config", [method.config for method in OWN], ids=lambda config: config.method)
+@pytest.mark.parametrize("parts", PARTS, ids=str)
+def test_every_setting_in_pixels_says_how_it_grows_with_the_image(config: SlamConfig, parts: list[str]) -> None:
+    config = with_overrides(config, parts)
+    given, doubled = settings(config), settings(in_pixels_of(config, 2.0))
+    for name, (power, value) in given.items():
+        if name.split(".")[-1].endswith(("_px", "stride")) and name not in ON_LEVELS | OF_NETWORKS:
+            assert power == (2 if name.endswith(("min_px", "area_px", "box_px")) else 1), f"{name} does not grow"
+        assert doubled[name] == (power, value * 2**power if power else value), name
+        assert type(doubled[name][1]) is type(value), name
+    assert sum(power > 0 for power, _ in given.values()) >= 2
+
+
+def test_at_the_usual_size_a_config_is_taken_as_it_is() -> None:
+    config = configure("pspnet-slam")
+    assert in_pixels_of(config, 1.0) is config
+
+
+def test_in_small_images_lengths_in_pixels_stay_possible() -> None:
+    config = in_pixels_of(configure("pspnet-slam"), 0.1)
+    check(config)
+    assert all(value for power, value in settings(config).values() if power)

@@ -11,12 +11,15 @@
 import dataclasses
 import math
 from dataclasses import dataclass, field
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 from stillroom.errors import ConfigError
 
+C = TypeVar("C")
+
 BOUNDS = "bounds"
-"""The key of a field's metadata."""
+PIXELS = "pixels"
+"""The keys of a field's metadata."""
 
 
 @dataclass(frozen=True)
@@ -85,9 +88,46 @@ def bounded(
     most: float | None = None,
     below: float | None = None,
     one_of: tuple[str, ...] = (),
+    pixels: int = 0,
 ) -> Any:
-    """Return a field of a config dataclass with a default and bounds; see `Bounds`."""
-    return field(default=default, metadata={BOUNDS: Bounds(least, above, most, below, tuple(one_of))})
+    """Return a field of a config dataclass with a default and bounds; see `Bounds`.
+
+    Args:
+        default: Its value where none is given.
+        least: See `Bounds`, as for the others.
+        above: See there.
+        most: See there.
+        below: See there.
+        one_of: See there.
+        pixels: 1 for a length in pixels and 2 for an area, of images 640 pixels long; see `in_pixels_of`.
+    """
+    bounds = Bounds(least, above, most, below, tuple(one_of))
+    return field(default=default, metadata={BOUNDS: bounds, PIXELS: pixels})
+
+
+def in_pixels_of(config: C, scale: float) -> C:
+    """Return a config whose lengths and areas in pixels, which are those of images 640 pixels long, fit other images.
+
+    Whole numbers stay whole, and do not become 0. What is written beside results stays as the user gave it.
+
+    Args:
+        config: A dataclass.
+        scale: `Camera.pixel_scale`; at 1 the config is returned as it is.
+    """
+    if scale == 1.0:
+        return config
+    changed: dict[str, Any] = {}
+    whole: Any = config
+    for one in dataclasses.fields(whole):
+        value, power = getattr(config, one.name), one.metadata.get(PIXELS, 0)
+        if dataclasses.is_dataclass(value) and not isinstance(value, type):
+            changed[one.name] = in_pixels_of(value, scale)
+        elif power and isinstance(value, int):
+            changed[one.name] = max(1, round(value * scale**power)) if value > 0 else value
+        elif power:
+            changed[one.name] = value * scale**power
+    fitted: C = dataclasses.replace(whole, **changed)
+    return fitted
 
 
 def check(config: Any, name: str = "", relations: bool = True) -> None:

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from stillroom.bounds import check
+from stillroom.bounds import check, in_pixels_of
 from stillroom.config import SlamConfig
 from stillroom.data.image import RgbdImage
 from stillroom.data.map import Map, submaps
@@ -212,7 +212,7 @@ def build(
     """Put a system together.
 
     Args:
-        config: What it consists of.
+        config: What it consists of; in pixels of images 640 long, whatever the camera's size.
         camera: The calibration of its images.
         segmenter: The segmenter; by default that of the config.
         schedule: When work runs; in order by default.
@@ -227,8 +227,8 @@ def build(
         VocabularyError: The vocabulary of places cannot be read.
     """
     check(config)
-    clock = clock or StageClock()
-    world = world or Map(config.features.scales)
+    config = in_pixels_of(config, camera.pixel_scale)
+    clock, world = clock or StageClock(), world or Map(config.features.scales(camera))
     parts = Parts(camera, world, config.seed, clock)
     segmenter = segmenter or config.semantics.build(parts)
     sieve = timed_part(Asking(config.dynamics.build(parts), world), clock, judge="dynamics", remember="memory")
@@ -267,7 +267,8 @@ def segmenter_of(config: SlamConfig, camera: Camera) -> Segmenter:
     Raises:
         ConfigError, WeightsError: As `build`.
     """
-    return config.semantics.build(Parts(camera, Map(config.features.scales), config.seed))
+    parts = Parts(camera, Map(config.features.scales(camera)), config.seed)
+    return in_pixels_of(config.semantics, camera.pixel_scale).build(parts)
 
 
 def _trajectory(timestamps_s: list[float], poses: list[F64]) -> Trajectory:

@@ -100,7 +100,7 @@ def read_source(
         told: Called after each image.
     """
     features = features or OrbConfig()
-    extractor = features.build(Parts(dataset.camera, Map(features.scales)))
+    extractor = features.build(Parts(dataset.camera, Map(features.scales(dataset.camera))))
     images, n_unreadable = [], 0
     for place in range(0, len(dataset), every):
         try:

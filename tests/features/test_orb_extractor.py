@@ -138,3 +138,16 @@ def test_a_turned_real_image_is_matched_with_itself(freiburg1: Path) -> None:
     error = [upright.raw_px[m.queryIdx] - ([639, 479] - turned.raw_px[m.trainIdx]) for m in matches if m.distance < 50]
     assert len(error) > 600
     assert np.mean(np.abs(error).max(axis=1) < 3) > 0.95
+
+
+def test_in_an_image_of_twice_the_size_the_same_keypoints_are_found_at_twice_the_pixels() -> None:
+    gray = textured()
+    large = Camera(1280, 960, 2 * IDEAL.fx, 2 * IDEAL.fy, 2 * IDEAL.cx + 0.5, 2 * IDEAL.cy + 0.5, bf=2 * IDEAL.bf)
+    ours = OrbConfig().build(parts(IDEAL)).extract(image_of(gray))
+    theirs = OrbConfig().build(parts(large)).extract(image_of(np.repeat(np.repeat(gray, 2, axis=0), 2, axis=1)))
+    assert np.array_equal(theirs.keypoints.descriptors, ours.keypoints.descriptors)
+    assert np.array_equal(theirs.keypoints.octave, ours.keypoints.octave)
+    np.testing.assert_allclose(theirs.keypoints.raw_px + 0.5, 2.0 * (ours.keypoints.raw_px + 0.5), atol=1e-3)
+    # Windows and tolerances are in pixels of levels, and a keypoint's noise is one of them.
+    np.testing.assert_array_equal(theirs.scales.factors, 2.0 * ours.scales.factors)
+    np.testing.assert_allclose(theirs.scales.inverse_variances, ours.scales.inverse_variances / 4.0)

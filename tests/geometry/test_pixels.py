@@ -1,10 +1,10 @@
-"""Values of images at points, and dilation of masks."""
+"""The size of pixels, values of images at points, and dilation of masks."""
 
 import cv2
 import numpy as np
 import pytest
 
-from stillroom.geometry.pixels import WIDE_PX, Shape, element, grown, values_at
+from stillroom.geometry.pixels import WIDE_PX, Shape, element, grown, in_pixels, pixel_scale, values_at
 
 IMAGE = np.arange(12, dtype=np.int16).reshape(3, 4)
 
@@ -35,3 +35,24 @@ def test_masks_grow_as_opencv_dilates_them(shape: tuple[int, int], reach_px: int
     mask[0, 0] = mask[-1, -1] = True
     dilated = cv2.dilate(mask.astype(np.uint8), element(reach_px, kind))
     np.testing.assert_array_equal(grown(mask, reach_px, kind), dilated > 0)
+
+
+@pytest.mark.parametrize(
+    ("size", "expected"),
+    [
+        ((640, 480), 1.0),
+        ((480, 640), 1.0),
+        ((640, 360), 1.0),
+        ((1920, 1440), 3.0),
+        ((960, 1280), 2.0),
+        ((160, 120), 0.25),
+    ],
+)
+def test_pixels_are_counted_along_the_longer_side(size: tuple[int, int], expected: float) -> None:
+    assert pixel_scale(*size) == expected
+
+
+def test_whole_lengths_stay_whole_and_do_not_vanish() -> None:
+    assert [in_pixels(length, 1.0) for length in range(100)] == list(range(100))
+    assert [in_pixels(5, scale) for scale in (3.0, 0.6625, 0.25, 0.01)] == [15, 3, 1, 1]
+    assert in_pixels(0, 3.0) == 0

@@ -348,3 +348,39 @@ def test_a_first_pose_needs_neither_scipy_nor_plots_nor_the_warm_up():
     assert {"numba", "cv2", "onnxruntime"} <= loaded
     unneeded = {"matplotlib", "scipy.linalg", "scipy.signal", "scipy.sparse", "scipy.spatial", "stillroom.warmup"}
     assert loaded & unneeded == set()
+
+
+def enlarged(image, times):
+    """The image with every pixel repeated, in rows and columns."""
+    rgb, depth_m = (np.repeat(np.repeat(pixels, times, axis=0), times, axis=1) for pixels in (image.rgb, image.depth_m))
+    boxes = tuple(
+        replace(box, **{edge: times * (getattr(box, edge) + 0.5) - 0.5 for edge in EDGES}) for box in image.truth.boxes
+    )
+    truth = sr.Semantics(times * image.height, times * image.width, boxes)
+    return replace(image, rgb=rgb, depth_m=depth_m, truth=truth)
+
+
+EDGES = ("x_min_px", "y_min_px", "x_max_px", "y_max_px")
+
+
+@pytest.mark.parametrize("method", ["orb-slam2", "oc-slam"])
+def test_a_sequence_of_nine_times_the_pixels_is_tracked_the_same_way(method):
+    images = list(room("0:10"))
+    small = room().camera
+    large = replace(
+        small,
+        width=3 * small.width,
+        height=3 * small.height,
+        fx=3 * small.fx,
+        fy=3 * small.fy,
+        cx=3 * (small.cx + 0.5) - 0.5,
+        cy=3 * (small.cy + 0.5) - 0.5,
+        bf=3 * small.bf,
+    )
+    expected = tracked(method, images, small)
+    found = tracked(method, (enlarged(image, 3) for image in images), large)
+    assert found.config == expected.config, "settings stay as the user gave them"
+    poses, wanted = found.trajectory(), expected.trajectory()
+    assert len(poses) == len(wanted) == len(images)
+    apart_m = np.linalg.norm(poses.T_world_cam[:, :3, 3] - wanted.T_world_cam[:, :3, 3], axis=1)
+    assert apart_m.max() < 0.003

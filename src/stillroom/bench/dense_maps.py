@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from stillroom.bounds import in_pixels_of
 from stillroom.config import SlamConfig
 from stillroom.data.dense_cloud import DenseCloud
 from stillroom.data.result import FrameResult, Tracked
@@ -83,7 +84,7 @@ def dense_maps(
     system = slam.system
     for name, removal in ((WITH_REMOVAL, True), (WITHOUT_REMOVAL, False)):
         one = replace(dense, carving=replace(dense.carving, removal=removal))
-        mapping.mappers[name] = one.build(Parts(dataset.camera, system.map))
+        mapping.mappers[name] = in_pixels_of(one, dataset.camera.pixel_scale).build(Parts(dataset.camera, system.map))
     with slam:
         progress.start(len(dataset))
         try:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from stillroom.bounds import in_pixels_of
 from stillroom.data.image import RgbdImage
 from stillroom.data.map.jumps import JumpFollower
 from stillroom.data.matches import Matches
@@ -89,6 +90,7 @@ class GeometryObserver:
 
     def __init__(self, config: GeometryTrialConfig, system: System, seed: int) -> None:
         """Start without earlier images."""
+        config = in_pixels_of(config, system.mapper.camera.pixel_scale)
         self.config, self._system, self._seed = config, system, seed
         parts = Parts(system.mapper.camera, system.map, seed)
         self._sieve = replace(config.homography, search=EXHAUSTIVE).build(parts)

@@ -44,19 +44,22 @@ class ScaleLevels:
     Attributes:
         factor: Ratio of neighbouring levels.
         count: Number of levels.
+        finest_px: Size of a pixel of the finest level in the image [px]: `Camera.pixel_scale`. Windows, tolerances and
+            the noise of keypoints are in pixels of levels, so all of them grow with the image.
     """
 
     factor: float = 1.2
     count: int = 8
+    finest_px: float = 1.0
 
     @cached_property
     def factors(self) -> F64:
-        """Size of a level-0 pixel's neighbourhood on each level (L,), 1 for the finest."""
-        return self.factor ** np.arange(self.count, dtype=np.float64)
+        """Size of each level's pixels in the image (L,) [px], 1 for the finest of an image 640 pixels long."""
+        return np.asarray(self.finest_px * self.factor ** np.arange(self.count, dtype=np.float64))
 
     @cached_property
     def inverse_variances(self) -> F64:
-        """Weight [1/px²] of a measurement on each level (L,), 1 for the finest (ORB-SLAM2)."""
+        """Weight (L,) [1/px²] of a measurement on each level: its noise is a pixel of the level (ORB-SLAM2)."""
         return np.asarray(self.factors**-2.0)
 
 

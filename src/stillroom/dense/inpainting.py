@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 
-from stillroom.bounds import bounded, check
+from stillroom.bounds import bounded, check, in_pixels_of
 from stillroom.data.dense_cloud import DenseCloud
 from stillroom.data.image import RgbdImage
 from stillroom.data.map import Map
@@ -42,7 +42,8 @@ def gains(rgb: U8, depth_m: F32, rays: F32, T_here_there: F64, camera: Camera, h
         here: The frame.
         still: Its pixels that do not move (H, W).
     """
-    grid = slice(EVERY_PX // 2, None, EVERY_PX)
+    every_px = camera.in_pixels(EVERY_PX)
+    grid = slice(every_px // 2, None, every_px)
     z_m = depth_m[grid, grid].ravel().astype(np.float64)
     colours = rgb[grid, grid].reshape(-1, 3).astype(np.float64)
     points = np.column_stack((rays[grid, grid].reshape(-1, 2) * z_m[:, None], z_m))
@@ -83,11 +84,11 @@ class InpaintingConfig:
     keyframes: int = bounded(20, least=1)
     min_depth_m: float = 0.2
     same_share: float = 0.03
-    margin_px: int = 6
+    margin_px: int = bounded(6, least=0, pixels=1)
     least_weight: float = 0.3
     sharpness: float = 1.0
     match_brightness: bool = True
-    close_px: int = 4
+    close_px: int = bounded(4, least=0, pixels=1)
     hole_grey: int = bounded(0, least=0, most=255)
 
     def build(self, camera: Camera) -> "BackgroundPainter":
@@ -97,7 +98,7 @@ class InpaintingConfig:
             ConfigError: A value is impossible.
         """
         check(self, "inpainting")
-        return BackgroundPainter(self, camera)
+        return BackgroundPainter(in_pixels_of(self, camera.pixel_scale), camera)
 
 
 @dataclass(frozen=True)
@@ -215,9 +216,9 @@ class BackgroundPainter:
         there = se3.transform(se3.inverse(T_here_there), np.concatenate(points))
         if (there[:, 2] < NEAR_M / 2).any():
             return np.array([0, height, 0, width], dtype=np.int64)
-        seen_px = self._camera.distort(self._camera.project(there))
-        low = np.clip(np.floor(seen_px.min(axis=0)) - BESIDE_PX, 0, (width, height)).astype(np.int64)
-        high = np.clip(np.ceil(seen_px.max(axis=0)) + BESIDE_PX, 0, (width, height)).astype(np.int64)
+        seen_px, beside_px = self._camera.distort(self._camera.project(there)), self._camera.in_pixels(BESIDE_PX)
+        low = np.clip(np.floor(seen_px.min(axis=0)) - beside_px, 0, (width, height)).astype(np.int64)
+        high = np.clip(np.ceil(seen_px.max(axis=0)) + beside_px, 0, (width, height)).astype(np.int64)
         return np.array([low[1], high[1], low[0], high[0]], dtype=np.int64)
 
     def _from_cloud(self, cloud: DenseCloud, holes: Bool, T_world_cam: F64, rgb: U8, depth_m: F32) -> Bool:

@@ -151,11 +151,11 @@ class SurfaceConfig:
         margin_m, margin_share: At their depth: within the larger of the first and this share of the depth.
     """
 
-    stride: int = bounded(2, least=1)
+    stride: int = bounded(2, least=1, pixels=1)
     near_m: float = bounded(0.3, least=0)
     far_m: float = bounded(5.0, above=0)
     least_cosine: float = 0.17
-    margin_px: int = bounded(8, least=0)
+    margin_px: int = bounded(8, least=0, pixels=1)
     margin_m: float = 0.1
     margin_share: float = 0.04
 

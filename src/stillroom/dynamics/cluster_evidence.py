@@ -14,7 +14,7 @@ from stillroom.geometry.distortion import distorted
 from stillroom.geometry.pixels import Shape, grown
 
 STEP_PX = 8
-"""Stride of the samples in rows and columns [px]."""
+"""Stride of the samples in rows and columns, in images 640 pixels long [px]."""
 STAYS, MOVES, MOVES_IN_BOX = 0, 1, 2
 """Bits that apply to all pixels of a cluster."""
 
@@ -61,26 +61,28 @@ class Sampler:
 
     def _take(self, frame: Frame, clusters: Clusters) -> ClusterSamples:
         height, width = clusters.labels.shape
-        if self._camera is not frame.camera or self._rays.shape[:2] != (-(-height // STEP_PX), -(-width // STEP_PX)):
-            self._camera, self._rays = frame.camera, _rays(frame.camera, height, width)
-        return ClusterSamples(*points_on(clusters.labels, frame.image.depth_m, self._rays))
+        step_px = frame.camera.in_pixels(STEP_PX)
+        if self._camera is not frame.camera or self._rays.shape[:2] != (-(-height // step_px), -(-width // step_px)):
+            self._camera, self._rays = frame.camera, _rays(frame.camera, height, width, step_px)
+        return ClusterSamples(*points_on(clusters.labels, frame.image.depth_m, self._rays, step_px))
 
 
 @njit(nogil=True, cache=True)
-def points_on(labels: I16, depth_m: F32, rays: F64) -> tuple[I64, F64]:
+def points_on(labels: I16, depth_m: F32, rays: F64, step_px: int) -> tuple[I64, F64]:
     """Return the cluster (S,) and the point (S, 3) [m] of each known pixel of a cluster on the grid of rays.
 
     Args:
         labels: Label image (H, W).
         depth_m: Depth image (H, W) [m].
-        rays: x/z and y/z (h, w, 2) of every `STEP_PX`-th pixel.
+        rays: x/z and y/z (h, w, 2) of every `step_px`-th pixel.
+        step_px: Their stride.
     """
     height, width = rays.shape[:2]
     cluster, points = np.empty(height * width, dtype=np.int64), np.empty((height * width, 3))
     n = 0
     for i in range(height):
         for j in range(width):
-            label, z = labels[i * STEP_PX, j * STEP_PX], np.float64(depth_m[i * STEP_PX, j * STEP_PX])
+            label, z = labels[i * step_px, j * step_px], np.float64(depth_m[i * step_px, j * step_px])
             if label >= 0 and z > 0.0:
                 cluster[n] = label
                 points[n, 0], points[n, 1], points[n, 2] = rays[i, j, 0] * z, rays[i, j, 1] * z, z
@@ -88,9 +90,9 @@ def points_on(labels: I16, depth_m: F32, rays: F64) -> tuple[I64, F64]:
     return cluster[:n], points[:n]
 
 
-def _rays(camera: Camera, height: int, width: int) -> F64:
-    """Return x/z and y/z (h, w, 2) of every `STEP_PX`-th pixel."""
-    column, row = np.meshgrid(np.arange(0, width, STEP_PX), np.arange(0, height, STEP_PX))
+def _rays(camera: Camera, height: int, width: int, step_px: int) -> F64:
+    """Return x/z and y/z (h, w, 2) of every `step_px`-th pixel."""
+    column, row = np.meshgrid(np.arange(0, width, step_px), np.arange(0, height, step_px))
     px = camera.undistort(np.stack((column.ravel(), row.ravel()), axis=1).astype(np.float32))
     rays = camera.back_project(px, np.ones(len(px)))[:, :2]
     return rays.reshape(*column.shape, 2)
@@ -129,7 +131,7 @@ class Belief:
             return np.zeros(n_clusters)
         T_last_now = last.T_cam_world @ se3.inverse(T_cam_world)
         total = np.zeros(n_clusters)
-        view = (last.belief, last.depth_m, T_last_now, camera.lens)
+        view = (last.belief, last.depth_m, T_last_now, camera.lens, camera.in_pixels(STEP_PX))
         inherit(samples.cluster, samples.points_cam_m, *view, self._reach_m, total)
         fade = np.exp(-max(0.0, now_s - last.timestamp_s) / self._fades_in_s)
         inherited: F64 = fade * total / np.maximum(samples.count(n_clusters), 1.0)
@@ -142,24 +144,34 @@ class Belief:
 
     def remember(self, frame: Frame, clusters: Clusters, belief: F64, T_cam_world: F64) -> None:
         """Keep the log-odds (K,) of a frame's clusters for the next image."""
-        labels = clusters.labels[::STEP_PX, ::STEP_PX]
+        step_px = frame.camera.in_pixels(STEP_PX)
+        labels = clusters.labels[::step_px, ::step_px]
         padded = np.append(belief, 0.0).astype(np.float32)  # planes and the unknown read the last entry
-        depth_m = frame.image.depth_m[::STEP_PX, ::STEP_PX].copy()
+        depth_m = frame.image.depth_m[::step_px, ::step_px].copy()
         self._last = _Image(frame.timestamp_s, T_cam_world.copy(), padded[np.maximum(labels, -1)], depth_m)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def inherit(
-    cluster: I64, points_m: F64, belief: F32, depth_m: F32, T: F64, lens: Lens, reach_m: float, total: F64
+    cluster: I64,
+    points_m: F64,
+    belief: F32,
+    depth_m: F32,
+    T: F64,
+    lens: Lens,
+    step_px: int,
+    reach_m: float,
+    total: F64,
 ) -> None:
     """Add to the total of each cluster (K,) the log-odds at which the last image saw its points.
 
     Args:
         cluster: Cluster of each point (S,).
         points_m: The points (S, 3) [m, present camera].
-        belief, depth_m: Log-odds and depth [m] of every `STEP_PX`-th pixel of the last image (h, w).
+        belief, depth_m: Log-odds and depth [m] of every `step_px`-th pixel of the last image (h, w).
         T: Motion (4, 4) from the present camera to the last.
         lens: Of both.
+        step_px: Stride of the last image's pixels.
         reach_m: How far a point may have moved in depth [m].
         total: Sums, written to.
     """
@@ -171,7 +183,7 @@ def inherit(
         x = (T[0, 0] * X + T[0, 1] * Y + T[0, 2] * Z + T[0, 3]) / z
         y = (T[1, 0] * X + T[1, 1] * Y + T[1, 2] * Z + T[1, 3]) / z
         u, v = distorted(lens, x, y)
-        column, row = np.rint(u / STEP_PX), np.rint(v / STEP_PX)
+        column, row = np.rint(u / step_px), np.rint(v / step_px)
         if column >= 0.0 and row >= 0.0 and column < belief.shape[1] and row < belief.shape[0]:
             at = int(row), int(column)
             if abs(depth_m[at] - z) <= reach_m:

@@ -62,7 +62,7 @@ class ClusterSieveConfig:
     max_step_share: float = 0.03
     fades_in_s: float = bounded(2.0, above=0)
     reach_m: float = 0.3
-    margin_px: int = bounded(8, least=0)
+    margin_px: int = bounded(8, least=0, pixels=1)
 
     def build(self, parts: Parts) -> "ClusterSieve":
         """Return the sieve."""

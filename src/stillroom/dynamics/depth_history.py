@@ -72,7 +72,8 @@ class DepthHistory:
         stamp = frame.timestamp_s
         if self._images and stamp - self._images[-1].timestamp_s < self.config.interval_s:
             return
-        small = frame.image.depth_m[::STRIDE, ::STRIDE].copy()
+        stride = frame.camera.in_pixels(STRIDE)
+        small = frame.image.depth_m[::stride, ::stride].copy()
         self._images.append(_Remembered(stamp, T_cam_world.copy(), small))
         self._asked_at_s = None
 
@@ -87,9 +88,9 @@ class DepthHistory:
         """Compare points (N, 3) [m, world] with earlier images."""
         agrees = np.zeros(len(points_world_m), dtype=np.int64)
         empty = np.zeros(len(points_world_m), dtype=np.int64)
-        tolerances = self.config.tolerance_m, self.config.tolerance_share
+        tolerances, stride = (self.config.tolerance_m, self.config.tolerance_share), camera.in_pixels(STRIDE)
         for image, around in self._nearest(now_s):
-            view = SmallView(image.depth_m, image.T_cam_world, camera.lens)
+            view = SmallView(image.depth_m, image.T_cam_world, camera.lens, stride)
             ask_ranges(view, around, points_world_m, *tolerances, agrees, empty)
         return Evidence(agrees, empty)
 
@@ -111,14 +112,16 @@ class SmallView(NamedTuple):
     """A small depth image.
 
     Attributes:
-        depth_m: Every `STRIDE`-th pixel of an image as taken (h, w) [m]; 0 where unknown.
+        depth_m: Every `stride`-th pixel of an image as taken (h, w) [m]; 0 where unknown.
         T_cam_world: Its pose (4, 4).
         lens: Of the whole image.
+        stride: Of the small one [px].
     """
 
     depth_m: F32
     T_cam_world: F64
     lens: Lens
+    stride: int = STRIDE
 
 
 class DepthRange(NamedTuple):
@@ -166,7 +169,7 @@ def ask(
         tolerance_m, tolerance_share: See `DepthHistoryConfig`.
         agrees, empty: Counters.
     """
-    depth_m, T, lens = view
+    depth_m, T, lens, stride = view
     last_row, last_column = depth_m.shape[0] - 1, depth_m.shape[1] - 1
     for i in range(len(points_world_m)):
         X, Y, Z = points_world_m[i, 0], points_world_m[i, 1], points_world_m[i, 2]
@@ -176,9 +179,9 @@ def ask(
         x = (T[0, 0] * X + T[0, 1] * Y + T[0, 2] * Z + T[0, 3]) / z
         y = (T[1, 0] * X + T[1, 1] * Y + T[1, 2] * Z + T[1, 3]) / z
         u, v = distorted(lens, x, y)
-        if not (u >= STRIDE and v >= STRIDE and u < STRIDE * 10000 and v < STRIDE * 10000):
+        if not (u >= stride and v >= stride and u < stride * 10000 and v < stride * 10000):
             continue
-        column, row = int(u / STRIDE + 0.5), int(v / STRIDE + 0.5)
+        column, row = int(u / stride + 0.5), int(v / stride + 0.5)
         if row >= last_row or column >= last_column:
             continue
         there, behind = compare(depth_m, row, column, z, max(tolerance_m, tolerance_share * z))
@@ -212,7 +215,7 @@ def ask_ranges(
     empty: I64,
 ) -> None:
     """Do what `ask` does, by the ranges around the view's pixels; neighbours are read only where z is in between."""
-    depth_m, T, lens = view
+    depth_m, T, lens, stride = view
     nearest, farthest = around
     last_row, last_column = depth_m.shape[0] - 1, depth_m.shape[1] - 1
     for i in range(len(points_world_m)):
@@ -223,9 +226,9 @@ def ask_ranges(
         x = (T[0, 0] * X + T[0, 1] * Y + T[0, 2] * Z + T[0, 3]) / z
         y = (T[1, 0] * X + T[1, 1] * Y + T[1, 2] * Z + T[1, 3]) / z
         u, v = distorted(lens, x, y)
-        if not (u >= STRIDE and v >= STRIDE and u < STRIDE * 10000 and v < STRIDE * 10000):
+        if not (u >= stride and v >= stride and u < stride * 10000 and v < stride * 10000):
             continue
-        column, row = int(u / STRIDE + 0.5), int(v / STRIDE + 0.5)
+        column, row = int(u / stride + 0.5), int(v / stride + 0.5)
         if row >= last_row or column >= last_column:
             continue
         tolerance = max(tolerance_m, tolerance_share * z)

@@ -22,7 +22,7 @@ class MaskedKeypointsConfig:
             unless the mask is wrong.
     """
 
-    border_px: int = bounded(2, least=0)
+    border_px: int = bounded(2, least=0, pixels=1)
     min_keypoints: int = bounded(20, least=0)
 
     def build(self, parts: Parts | None = None) -> KeypointSieve:

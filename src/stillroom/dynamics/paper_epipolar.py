@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stillroom.bounds import bounded
 from stillroom.data.frame import Frame
 from stillroom.data.matches import Matches
 from stillroom.data.motion import Motion, Stage
@@ -30,9 +31,9 @@ class PaperEpipolarConfig:
         inlier_px: Tolerance of the robust estimate of the matrix.
     """
 
-    motion_model_px: float = 1.0
-    keyframe_px: float = 2.0
-    inlier_px: float = 1.0
+    motion_model_px: float = bounded(1.0, least=0, pixels=1)
+    keyframe_px: float = bounded(2.0, least=0, pixels=1)
+    inlier_px: float = bounded(1.0, above=0, pixels=1)
 
     def build(self, parts: Parts) -> "PaperEpipolarSieve":
         """Return the sieve; its seed is that of the robust estimate."""

@@ -68,7 +68,7 @@ class MovedSegmentsConfig:
     limit: float = 2.5
     fades_in_s: float = bounded(1.0, above=0)
     reach_m: float = 0.3
-    margin_px: int = bounded(8, least=0)
+    margin_px: int = bounded(8, least=0, pixels=1)
     test: PointTestConfig = field(default_factory=PointTestConfig)
 
     def build(self, parts: Parts | None = None) -> "MovedSegments":
@@ -178,8 +178,9 @@ class MovedSegments:
         camera, config = frame.camera, self.config
         agrees, empty = np.zeros((2, len(asked)), dtype=np.int64)
         points_cam_m = camera.back_project(points.px[asked], points.depth_m[asked])
-        small_m = np.ascontiguousarray(earlier.view.depth_m[::STRIDE, ::STRIDE])
-        view = SmallView(small_m, earlier.T_cam_world, camera.lens)
+        stride = camera.in_pixels(STRIDE)
+        small_m = np.ascontiguousarray(earlier.view.depth_m[::stride, ::stride])
+        view = SmallView(small_m, earlier.T_cam_world, camera.lens, stride)
         points_world_m = se3.transform(se3.inverse(T_cam_world), points_cam_m)
         ask(view, points_world_m, config.tolerance_m, config.tolerance_share, agrees, empty)
         return np.asarray(agrees > 0)

@@ -229,7 +229,7 @@ def search_epipolar(
     Args:
         F_second_first: Fundamental matrix (3, 3): `p_second @ F @ p_first = 0`.
         first, second: Keypoints; only the usable ones take part.
-        scale_factors: Size of a pixel on each level (L,).
+        scale_factors: Size of a pixel of each level in the image (L,) [px].
         epipole_px: Projection of the first camera's centre in the second image (2,); without depth nothing near it
             can be triangulated.
 
@@ -287,7 +287,7 @@ def _search_epipolar(
                 continue
             if right1[i] < 0 and right2[j] < 0:
                 ex, ey = epipole_px[0] - px2[j, 0], epipole_px[1] - px2[j, 1]
-                if ex * ex + ey * ey < 100.0 * sigma:
+                if ex * ex + ey * ey < 100.0 * sigma * scale_factors[0]:
                     continue
             bits = hamming(words1, i, words2, j)
             if bits < best:

@@ -31,6 +31,14 @@ _AGREEMENT = 0.97
 """Not 1: OpenCV's blur inside ORB and its public one differ by a rounding now and then."""
 
 
+def _at_usual_size(gray: U8, size: tuple[int, int]) -> U8:
+    """Return an image of another width and height [px]; the image itself where it has them."""
+    if size == (gray.shape[1], gray.shape[0]):
+        return gray
+    how = cv2.INTER_AREA if size[0] < gray.shape[1] else cv2.INTER_LINEAR
+    return np.asarray(cv2.resize(gray, size, interpolation=how), dtype=np.uint8)
+
+
 # Orientation and ORB descriptor of corners, on one level of the pyramid.
 
 
@@ -191,10 +199,9 @@ class OrbConfig:
         fits = self.min_depth_m < self.max_depth_m
         return None if fits else ("max_depth_m", "min_depth_m")
 
-    @property
-    def scales(self) -> ScaleLevels:
-        """The pyramid."""
-        return ScaleLevels(self.scale_factor, self.n_levels)
+    def scales(self, camera: Camera) -> ScaleLevels:
+        """Return the pyramid over images of a camera: its finest level is 640 pixels long."""
+        return ScaleLevels(self.scale_factor, self.n_levels, camera.pixel_scale)
 
     def build(self, parts: Parts) -> "OrbExtractor":
         """Return the extractor for a camera."""
@@ -207,7 +214,7 @@ class OrbExtractor:
     def __init__(self, config: OrbConfig, camera: Camera, seed: int = 0) -> None:
         """Prepare quotas and tables."""
         self.config, self.camera, self.seed = config, camera, seed
-        self.scales = config.scales
+        self.scales = config.scales(camera)
         self._disc = disc_weights()
         shares = self.scales.factors**-1.0
         self._quotas = [int(q) for q in np.rint(config.n_features * shares / shares.sum())]
@@ -237,7 +244,7 @@ class OrbExtractor:
         return Frame(image, self.camera, self.scales, keypoints, np.ones(len(px), dtype=np.bool_))
 
     def _pyramid(self, gray: U8) -> list[U8]:
-        levels = [gray]
+        levels = [_at_usual_size(gray, self._sizes[0])]
         for size in self._sizes[1:]:
             levels.append(np.asarray(cv2.resize(levels[-1], size, interpolation=cv2.INTER_LINEAR), dtype=np.uint8))
         return levels

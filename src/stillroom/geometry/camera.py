@@ -9,6 +9,7 @@ import numpy as np
 
 from stillroom.errors import CalibrationError
 from stillroom.geometry.arrays import F32, F64, Floats
+from stillroom.geometry.pixels import in_pixels, pixel_scale
 
 # OpenCV 4 has the iterated form under a name of its own; OpenCV 5 folded it into undistortPoints.
 _undistort_points = getattr(cv2, "undistortPointsIter", cv2.undistortPoints)
@@ -97,6 +98,15 @@ class Camera:
     def baseline_m(self) -> float:
         """Baseline of the virtual stereo pair [m]."""
         return self.bf / self.fx
+
+    @property
+    def pixel_scale(self) -> float:
+        """By what lengths in pixels, which are those of images 640 pixels long, are multiplied in this one's images."""
+        return pixel_scale(self.width, self.height)
+
+    def in_pixels(self, length_px: int) -> int:
+        """Return a whole length of images 640 pixels long in this one's images [px]; at least 1, but 0 stays 0."""
+        return in_pixels(length_px, self.pixel_scale)
 
     @property
     def is_distorted(self) -> bool:

@@ -1,4 +1,4 @@
-"""Image values at points, and dilation of masks."""
+"""The size of pixels, image values at points, and dilation of masks."""
 
 from enum import IntEnum
 from functools import lru_cache
@@ -14,6 +14,23 @@ from stillroom.geometry.arrays import I64, U8, Bool, Floats
 Value = TypeVar("Value", bound=np.generic)
 WIDE_PX = 7
 """From this reach on, growing each run of a row takes less time than OpenCV's dilation by an ellipse."""
+
+
+# The size of pixels. A pixel of a large image is a small angle: thresholds and windows in pixels grow with the image.
+
+
+USUAL_SIDE_PX = 640
+"""Longer side of the images that settings and constants in pixels are made for; a portrait one is 640 high."""
+
+
+def pixel_scale(width: int, height: int) -> float:
+    """Return by what lengths in pixels are multiplied in images of a size [px]; exactly 1 at 640×480 and 480×640."""
+    return max(width, height) / USUAL_SIDE_PX
+
+
+def in_pixels(length_px: int, scale: float) -> int:
+    """Return a whole length [px], multiplied by `pixel_scale`; at least 1, but 0 stays 0."""
+    return max(1, round(length_px * scale)) if length_px > 0 else length_px
 
 
 # Dilation of masks, and structuring elements.

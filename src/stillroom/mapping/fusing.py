@@ -116,7 +116,7 @@ def find_again(
         Points (M,) and the keypoint (M,) of each, one to one, in the order of `ids`.
     """
     factors, n_targets = viewer.factors, len(there.px)
-    log_factor = np.log(factors[1]) if len(factors) > 1 else 1.0
+    log_factor = np.log(factors[1] / factors[0]) if len(factors) > 1 else 1.0
     T = viewer.T_cam_world
     ox = -(T[0, 0] * T[0, 3] + T[1, 0] * T[1, 3] + T[2, 0] * T[2, 3])
     oy = -(T[0, 1] * T[0, 3] + T[1, 1] * T[1, 3] + T[2, 1] * T[2, 3])

@@ -18,12 +18,13 @@ from stillroom.data.image import RgbdImage
 from stillroom.data.semantics import Box, Semantics
 from stillroom.features.optical_flow import OpticalFlow
 from stillroom.geometry.arrays import F32, F64, U8, Bool, Floats
-from stillroom.geometry.pixels import values_at
+from stillroom.geometry.pixels import in_pixels, pixel_scale, values_at
 from stillroom.semantics.detector import Detector, of_boxes, overlap
 
 MAX_CORNERS = 40
 CORNER_QUALITY = 0.01
-CORNER_DISTANCE_PX = 4  # in the halved image, in which flow is measured
+SHRINK = 2  # flow is measured in images of half the size, of those 640 pixels long
+CORNER_DISTANCE_PX = 4  # there
 FLOW = OpticalFlow(window_px=15, levels=2)
 MARGIN_PX = 48  # around the box, so that flow may leave it; more than a person walks in a frame
 CENTRAL_SHARE = 0.5  # central part of a box, in which its depth is measured
@@ -67,7 +68,8 @@ class Follower:
     def begin(self, image: RgbdImage, edges: F64) -> FollowedBox:
         """Start tracking a box in an image in which it was detected."""
         depth_m = _central_depth(image, edges)
-        inside = image.depth_m[_pixels(edges, image)][::DEPTH_STEP_PX, ::DEPTH_STEP_PX]
+        step_px = _in_pixels(DEPTH_STEP_PX, image)
+        inside = image.depth_m[_pixels(edges, image)][::step_px, ::step_px]
         support = float(np.mean(self._near(inside, depth_m))) if inside.size and depth_m else 0.0
         return FollowedBox(edges, depth_m, support)
 
@@ -84,7 +86,8 @@ class Follower:
         edges = box.edges + np.tile(drift_px if flow_px is None else flow_px, 2)
         if box.depth_m == 0.0:
             return None if flow_px is None else FollowedBox(edges, 0.0, 0.0)
-        inside = now.depth_m[_pixels(edges, now)][::DEPTH_STEP_PX, ::DEPTH_STEP_PX]
+        step_px = _in_pixels(DEPTH_STEP_PX, now)
+        inside = now.depth_m[_pixels(edges, now)][::step_px, ::step_px]
         near = self._near(inside, box.depth_m)
         # Something nearer occludes it, and is dynamic too: only a view of the background shows that it left.
         hidden = (inside > 0.0) & (inside < box.depth_m)
@@ -94,9 +97,9 @@ class Follower:
 
     def _flow(self, before: RgbdImage, now: RgbdImage, box: FollowedBox) -> F64 | None:
         """Return the median motion (2,) [px] of the corners that lie in the box at its depth in both images."""
-        around = _pixels(box.edges, before, MARGIN_PX)
-        old, new = _half(before.gray[around]), _half(now.gray[around])
-        mask = self._mask(before, box, around)
+        around, times = _pixels(box.edges, before, _in_pixels(MARGIN_PX, before)), _in_pixels(SHRINK, before)
+        old, new = _shrunk(before.gray[around], times), _shrunk(now.gray[around], times)
+        mask = self._mask(before, box, around, times)
         if min(old.shape) < FLOW.window_px or not mask.any():
             return None
         start: Any = cv2.goodFeaturesToTrack(old, MAX_CORNERS, CORNER_QUALITY, CORNER_DISTANCE_PX, mask=mask)
@@ -104,19 +107,19 @@ class Follower:
             return None
         start = start[:, 0]
         end, is_found = FLOW.follow(old, new, start)
-        arrived_px = 2.0 * end + np.array([around[1].start, around[0].start])
+        arrived_px = times * end + np.array([around[1].start, around[0].start])
         good = is_found & self._stays(now, arrived_px, box.depth_m)
         if np.count_nonzero(good) < max(self.min_points, 1):
             return None
-        return np.asarray(2.0 * np.median((end - start)[good], axis=0), dtype=np.float64)
+        return np.asarray(times * np.median((end - start)[good], axis=0), dtype=np.float64)
 
-    def _mask(self, image: RgbdImage, box: FollowedBox, around: tuple[slice, slice]) -> U8:
-        """Return where in the halved surroundings of a box the object in it is, as cv2 takes it."""
+    def _mask(self, image: RgbdImage, box: FollowedBox, around: tuple[slice, slice], times: int) -> U8:
+        """Return where in the shrunk surroundings of a box the object in it is, as cv2 takes it."""
         inside = _pixels(box.edges, image)
         mask = np.zeros((image.height, image.width), dtype=np.uint8)
         mask[inside] = self._near(image.depth_m[inside], box.depth_m) if box.depth_m else 1
         rows, columns = (s.stop - s.start for s in around)
-        return mask[around][: rows // 2 * 2 : 2, : columns // 2 * 2 : 2]
+        return mask[around][: rows // times * times : times, : columns // times * times : times]
 
     def _stays(self, now: RgbdImage, points_px: Floats, depth_m: float) -> Bool:
         """Return which points (N, 2) lie in the image and, where depth is known, near the depth of the box."""
@@ -149,13 +152,18 @@ def _span(first: float, last: float, margin_px: int, size: int) -> slice:
     return slice(start, min(max(math.floor(last) + 1 + margin_px, start), size))
 
 
-def _half(gray: U8) -> U8:
-    """Return an image of half the size."""
-    height, width = gray.shape[0] // 2, gray.shape[1] // 2
+def _in_pixels(length_px: int, image: RgbdImage) -> int:
+    """Return a length of images 640 pixels long in this image [px]."""
+    return in_pixels(length_px, pixel_scale(image.width, image.height))
+
+
+def _shrunk(gray: U8, times: int) -> U8:
+    """Return an image so many times smaller."""
+    height, width = gray.shape[0] // times, gray.shape[1] // times
     if height == 0 or width == 0:
         return np.zeros((0, 0), dtype=np.uint8)
-    even = gray[: 2 * height, : 2 * width]
-    return np.asarray(cv2.resize(even, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    whole = gray[: times * height, : times * width]
+    return np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
 @dataclass(frozen=True)

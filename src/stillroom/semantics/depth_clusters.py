@@ -59,7 +59,7 @@ class DepthClustersConfig:
         segments: How the rest becomes clusters.
     """
 
-    stride: int = bounded(4, least=1)
+    stride: int = bounded(4, least=1, pixels=1)
     min_depth_m: float = bounded(0.2, least=0)
     max_depth_m: float = bounded(6.0, above=0)
     box_half_depth_m: float = bounded(0.40, above=0)

@@ -48,10 +48,10 @@ class MaskFilesConfig:
 
     folder: Path | None = None
     movable_values: tuple[int, ...] = ()
-    dilate_px: int = bounded(0, least=0)
+    dilate_px: int = bounded(0, least=0, pixels=1)
     missing: str = bounded("nothing", one_of=("nothing", "error"))
     boxes: bool = True
-    min_box_px: int = bounded(100, least=0)
+    min_box_px: int = bounded(100, least=0, pixels=2)
     instances: bool = False
 
     def build(self, parts: Parts | None = None) -> Segmenter:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
 
+from stillroom.bounds import in_pixels_of
 from stillroom.config import SlamConfig, to_toml
 from stillroom.data.dense_cloud import DenseCloud
 from stillroom.data.map import Map
@@ -114,7 +115,7 @@ def opened_map(file: MapFile | None, config: SlamConfig, camera: Camera, sequenc
         yield OpenedMap(earlier.world, earlier=earlier)
         return
     if earlier is None:
-        world = Map(config.features.scales)
+        world = Map(config.features.scales(camera))
         writer = MapWriter.create(file.path, world, camera)
     else:
         _require_camera(file.path, earlier.camera, camera, sequence)
@@ -134,8 +135,8 @@ def opened_map(file: MapFile | None, config: SlamConfig, camera: Camera, sequenc
 
 def _loaded(path: Path, config: SlamConfig) -> StoredMap:
     stored = load_map(path)
-    if stored.world.scales != config.features.scales:
-        was, asked = stored.world.scales, config.features.scales
+    if stored.world.scales != config.features.scales(stored.camera):
+        was, asked = stored.world.scales, config.features.scales(stored.camera)
         raise MapError(
             f"{path}: was made with {was.count} pyramid levels of {was.factor}, not {asked.count} of {asked.factor}; "
             f"--set features.n_levels={was.count} --set features.scale_factor={was.factor}"
@@ -197,6 +198,7 @@ def dense_cloud(path: Path, stored: StoredMap, config: DenseMapperConfig | None 
     """
     # A keyframe that is out of date is no witness here: all are fused under their last poses.
     config = config or replace(DenseMapperConfig(), correction_m=0.0, corrections=0)
+    config = in_pixels_of(config, stored.camera.pixel_scale)
     mapper, n_fused = config.build(Parts(stored.camera, stored.world)), 0
     for keyframe, image in keyframe_images(path):
         mapper.integrate(keyframe, image)

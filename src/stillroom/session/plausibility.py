@@ -22,14 +22,14 @@ CENTRED = 0.15
 SQUARE = 1.2
 """Largest usual ratio of fx and fy."""
 FOLD_PX = 1.0
-"""How near undistorting and distorting must come to where they began [px]."""
+"""How near undistorting and distorting must come to where they began, in images 640 pixels long [px]."""
 MOST_FOLDED = 0.05
 """Share of the image that may be folded, in its corners, by a distortion that was fitted with too few terms."""
 LEAST_NEAR_M, LEAST_FAR_M, MOST_FAR_M = 0.2, 0.9, 10.0
 """Percentiles 1 and 99 of depths that are usual: RGB-D cameras measure nothing nearer and little that is farther, and
 in a room they see more than what is within reach."""
-USUAL_WIDTH_PX = 320, 960
-"""Image widths that thresholds in pixels, which are those of images 640 pixels wide, were tried at."""
+LEAST_SIDE_PX = 320
+"""Longer side of the smallest images in which trajectories are as exact as in those 640 pixels long."""
 USUAL_STEP_S = 0.002, 0.5
 """Time between images that the memories of sieves, which compare with images 0.2 to 10 s old, can work with."""
 N_STEPS = 8
@@ -109,12 +109,11 @@ def doubts_of_camera(camera: Camera) -> Iterator[Doubt]:
         )
     if not 1.0 / SQUARE < camera.fx / camera.fy < SQUARE:
         yield Doubt("intrinsics", f"fx {camera.fx:g} and fy {camera.fy:g} differ by more than {SQUARE - 1:.0%}")
-    if not USUAL_WIDTH_PX[0] <= camera.width <= USUAL_WIDTH_PX[1]:
-        size, way = ("few", "record larger ones") if camera.width < USUAL_WIDTH_PX[0] else ("many", "halve them")
+    if max(camera.width, camera.height) < LEAST_SIDE_PX:
         yield Doubt(
             "image-size",
-            f"images of {camera.width}×{camera.height} have too {size} pixels for thresholds that are made for "
-            f"640×480: tracking may fail or be worse; {way} if you can",
+            f"images of {camera.width}×{camera.height} show few details to track: poses are less exact than "
+            "from larger ones; record such if you can",
         )
     if (folded := _folded(camera)) > 0.0:
         yield Doubt("distortion", _fold_text(camera, folded))
@@ -207,7 +206,7 @@ def _folded(camera: Camera) -> float:
     x, y = np.meshgrid(np.linspace(0.0, camera.width - 1.0, 41), np.linspace(0.0, camera.height - 1.0, 31))
     px: F64 = np.column_stack((x.ravel(), y.ravel()))
     off_px = np.abs(camera.distort(camera.undistort(px)) - px).max(axis=1)
-    return float(np.mean(~(off_px < FOLD_PX)))
+    return float(np.mean(~(off_px < FOLD_PX * camera.pixel_scale)))
 
 
 def _fold_text(camera: Camera, folded: float) -> str:

@@ -81,9 +81,10 @@ def _read(database: sqlite3.Connection) -> StoredMap:
         if table != IMAGES:  # they are looked at when they are read
             _require_types(database, table)
     head = _head(database)
+    camera = _camera(head)
     if not (1 <= head["n_levels"] <= MOST_LEVELS and 1.0 < head["scale_factor"] < np.inf):
         raise MapError(f"{head['n_levels']} pyramid levels of {head['scale_factor']} cannot be; the map is damaged")
-    world = Map(ScaleLevels(head["scale_factor"], head["n_levels"]))
+    world = Map(ScaleLevels(head["scale_factor"], head["n_levels"], camera.pixel_scale))
     _read_keyframes(database, world)
     _read_points(database, world, head["n_points"])
     edges = database.execute("SELECT older, newer, weight FROM covisibility ORDER BY older, newer").fetchall()
@@ -99,7 +100,7 @@ def _read(database: sqlite3.Connection) -> StoredMap:
     )
     return StoredMap(
         world,
-        _camera(head),
+        camera,
         tuple(Session(*row) for row in sessions),
         tuple(_frame(row) for row in frames),
     )

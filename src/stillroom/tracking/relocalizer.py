@@ -46,7 +46,7 @@ class RecognitionConfig:
     """
 
     min_matches: int = 15
-    reprojection_px: float = 4.0
+    reprojection_px: float = bounded(4.0, above=0, pixels=1)
     n_samples: int = 300
     min_ransac_inliers: int = 10
     wide_px: float = 10.0
@@ -217,7 +217,7 @@ class RelocalizerConfig:
     recognition: RecognitionConfig = field(default_factory=RecognitionConfig)
     n_keyframes: int = bounded(10, least=0)
     min_matches: int = bounded(20, least=0)
-    reprojection_px: float = bounded(4.0, above=0)
+    reprojection_px: float = bounded(4.0, above=0, pixels=1)
     min_inliers: int = bounded(15, least=0)
     patience: int = bounded(20, least=0)
 

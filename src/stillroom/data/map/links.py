@@ -259,5 +259,5 @@ def viewing_geometry(
             row = row_next[row]
         length = np.sqrt(nx * nx + ny * ny + nz * nz) + 1e-12
         normals[p, 0], normals[p, 1], normals[p, 2] = nx / length, ny / length, nz / length
-        max_distance_m[p] = distance * scale_factors[octave]
-        min_distance_m[p] = max_distance_m[p] / scale_factors[-1]
+        max_distance_m[p] = distance * (scale_factors[octave] / scale_factors[0])
+        min_distance_m[p] = max_distance_m[p] / (scale_factors[-1] / scale_factors[0])

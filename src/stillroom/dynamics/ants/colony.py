@@ -167,7 +167,7 @@ class PathConfig:
     """
 
     kind: str = bounded("serpentine", one_of=PATHS)
-    cell_px: int = bounded(80, least=1)
+    cell_px: int = bounded(80, least=1, pixels=1)
     min_points: int = bounded(5, least=1)
     shifts: bool = True
     colony: ColonyConfig = field(default_factory=ColonyConfig)

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from stillroom.bounds import bounded
 from stillroom.compiled import njit
 from stillroom.dynamics.ants.colony import PathConfig
 from stillroom.dynamics.ants.communities import NONE, KnownPoints, convex_hull, from_left, widen
@@ -35,7 +36,7 @@ class PheromoneMapConfig:
     """
 
     enabled: bool = True
-    cell_px: int = 24
+    cell_px: int = bounded(24, least=1, pixels=1)
     reach: int = 1
     rho: float = 0.3
     least: float = 0.3
@@ -109,8 +110,8 @@ class ReverseSearchConfig:
     """
 
     path: PathConfig = field(default_factory=PathConfig)
-    radius_px: float = 14.0
-    grow_px: float = 32.0
+    radius_px: float = bounded(14.0, least=0, pixels=1)
+    grow_px: float = bounded(32.0, least=0, pixels=1)
     min_community: int = 3
     scent: PheromoneMapConfig = field(default_factory=PheromoneMapConfig)
 

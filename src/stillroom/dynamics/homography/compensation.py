@@ -4,8 +4,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from stillroom.bounds import bounded
 from stillroom.compiled import njit
 from stillroom.data.frame import Frame
+from stillroom.dynamics.homography.point_motion import SHRINK
 from stillroom.features.optical_flow import OpticalFlow
 from stillroom.geometry import homography, se3
 from stillroom.geometry.arrays import F32, F64, I64, U8, Bool, Floats
@@ -15,7 +17,8 @@ from stillroom.geometry.homography import HomographyFit
 from stillroom.optimize.pose import PoseOptimizerConfig
 
 _FLOW = OpticalFlow(window_px=13, levels=2)
-_CELL_PX = 40
+CELL_PX = 40
+"""Side of the cells over which probes are spread, in images 640 pixels long [px]."""
 
 
 @dataclass(frozen=True)
@@ -36,12 +39,12 @@ class CompensationConfig:
     """
 
     n_probes: int = 200
-    inlier_px: float = 2.0
+    inlier_px: float = bounded(2.0, above=0, pixels=1)
     magsac: bool = True
     refine: bool = True
     symmetric: bool = True
     min_inliers: int = 20
-    pose_sigma_px: float = 0.7
+    pose_sigma_px: float = bounded(0.7, above=0, pixels=1)
     pose: PoseOptimizerConfig = field(default_factory=PoseOptimizerConfig)
 
 
@@ -79,11 +82,12 @@ class Compensation:
         Args:
             frame: The present frame.
             may_move: Keypoints (N,) that are left out.
-            now_half, then_half: Both images at half size.
+            now_half, then_half: Both images at half size; see `ImageView`.
             T_then_now_guess: Where to look first (4, 4).
         """
         config, camera, kp = self.config, frame.camera, frame.keypoints
-        probes = choose_probes(kp.raw_px, kp.depth_m > 0, ~may_move, config.n_probes)
+        has_depth, cell_px = kp.depth_m > 0, camera.in_pixels(CELL_PX)
+        probes = choose_probes(kp.raw_px, has_depth, ~may_move, config.n_probes, cell_px)
         if len(probes) < config.min_inliers:
             return None
         followed, then_raw_px = _follow(frame, probes, now_half, then_half, T_then_now_guess)
@@ -119,18 +123,18 @@ class Compensation:
         return estimate.T_cam_world if enough else None
 
 
-def choose_probes(raw_px: Floats, has_depth: Bool, usable: Bool, n: int) -> I64:
-    """Return up to n of the usable points (N, 2), spread over the image, those with depth first, in rising order."""
+def choose_probes(raw_px: Floats, has_depth: Bool, usable: Bool, n: int, cell_px: int = CELL_PX) -> I64:
+    """Return up to n of the usable points (N, 2), spread over cells, those with depth first, in rising order."""
     chosen = np.zeros(len(raw_px), dtype=np.bool_)
     if len(raw_px) > 0:
-        columns, rows = (raw_px.max(axis=0) // _CELL_PX).astype(np.int64) + 1
-        choose_by_cells(raw_px, has_depth, usable, (int(rows), int(columns)), n, chosen)
+        columns, rows = (raw_px.max(axis=0) // cell_px).astype(np.int64) + 1
+        choose_by_cells(raw_px, has_depth, usable, cell_px, (int(rows), int(columns)), n, chosen)
     return np.flatnonzero(chosen)
 
 
 @njit(nogil=True, cache=True)
 def choose_by_cells(
-    raw_px: Floats, has_depth: Bool, usable: Bool, shape: tuple[int, int], n: int, chosen: Bool
+    raw_px: Floats, has_depth: Bool, usable: Bool, cell_px: int, shape: tuple[int, int], n: int, chosen: Bool
 ) -> None:
     """Mark up to n of the usable points (N, 2) in `chosen` (N,): the first of each cell, then the second of each, ….
 
@@ -141,7 +145,7 @@ def choose_by_cells(
     for deep in (True, False):
         for i in range(len(raw_px)):
             if usable[i] and has_depth[i] == deep:
-                cell[i] = int(raw_px[i, 1] / _CELL_PX) * shape[1] + int(raw_px[i, 0] / _CELL_PX)
+                cell[i] = int(raw_px[i, 1] / cell_px) * shape[1] + int(raw_px[i, 0] / cell_px)
                 rank[i] = size[cell[i]]
                 size[cell[i]] += 1
     # The last round is the one in which n is exceeded, and in it cells up to some one have a turn.
@@ -165,11 +169,13 @@ def _follow(frame: Frame, probes: I64, now_half: U8, then_half: U8, T_then_now: 
     """Find probes (P,) in the earlier image; return which were found (P,) and where, as taken (P, 2) [px]."""
     kp, camera = frame.keypoints, frame.camera
     now_half_px, start_px = np.empty((2, len(probes), 2), dtype=np.float32)
+    times = camera.in_pixels(SHRINK)
     depth_m = kp.depth_m[probes]
     typical_m = float(np.median(depth_m[depth_m > 0])) if np.any(depth_m > 0) else 2.0
-    aim(kp.px[probes], kp.raw_px[probes], depth_m, typical_m, T_then_now, camera.lens, now_half_px, start_px)
+    points = kp.px[probes], kp.raw_px[probes], depth_m, typical_m
+    aim(*points, T_then_now, camera.lens, times, now_half_px, start_px)
     then_half_px, is_found = _FLOW.follow(now_half, then_half, now_half_px, start_px)
-    then_raw_px = 2.0 * then_half_px.astype(np.float64) + 0.5
+    then_raw_px = times * then_half_px.astype(np.float64) + 0.5 * (times - 1)
     x, y = then_raw_px.T
     inside = (x >= 0) & (y >= 0) & (x <= camera.width - 1) & (y <= camera.height - 1)
     return inside & is_found, then_raw_px
@@ -177,17 +183,29 @@ def _follow(frame: Frame, probes: I64, now_half: U8, then_half: U8, T_then_now: 
 
 @njit(nogil=True, cache=True)
 def aim(
-    px: F32, raw_px: F32, depth_m: F32, typical_m: float, T: F64, lens: Lens, now_half_px: F32, start_px: F32
+    px: F32,
+    raw_px: F32,
+    depth_m: F32,
+    typical_m: float,
+    T: F64,
+    lens: Lens,
+    times: int,
+    now_half_px: F32,
+    start_px: F32,
 ) -> None:
-    """Write where points are in an image of half the size, and where an earlier one should show them, (P, 2) [px].
+    """Write where points are in a shrunk image, and where an earlier one should show them, (P, 2) [px].
 
     Args:
         px, raw_px, depth_m: The points (P, 2), (P, 2) [px], (P,) [m].
         typical_m: The depth of those without one [m].
         T: Motion of the camera T_then_now (4, 4).
         lens: Of both images.
+        times: How many times smaller they are.
         now_half_px, start_px: What is written.
     """
+    # Pixel centres are at integers: those of a shrunk image lie between those of the whole one.
+    half = 1.0 / times
+    off_px = 0.5 - 0.5 * half
     for i in range(len(px)):
         z = float(depth_m[i]) if depth_m[i] > 0.0 else typical_m
         x, y = (float(px[i, 0]) - lens.cx) / lens.fx * z, (float(px[i, 1]) - lens.cy) / lens.fy * z
@@ -195,6 +213,6 @@ def aim(
         u = (T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]) / there
         v = (T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]) / there
         u, v = distorted(lens, u, v)
-        start_px[i, 0], start_px[i, 1] = 0.5 * u - 0.25, 0.5 * v - 0.25
-        now_half_px[i, 0] = np.float32(0.5) * raw_px[i, 0] - np.float32(0.25)
-        now_half_px[i, 1] = np.float32(0.5) * raw_px[i, 1] - np.float32(0.25)
+        start_px[i, 0], start_px[i, 1] = half * u - off_px, half * v - off_px
+        now_half_px[i, 0] = np.float32(half) * raw_px[i, 0] - np.float32(off_px)
+        now_half_px[i, 1] = np.float32(half) * raw_px[i, 1] - np.float32(off_px)

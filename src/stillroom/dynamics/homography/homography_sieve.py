@@ -49,7 +49,7 @@ class CompensatedHomographyConfig:
 
     earlier_s: float = bounded(0.1, least=0)
     search: str = bounded("reverse", one_of=SEARCHES)
-    fill_px: float = bounded(40.0, least=0)
+    fill_px: float = bounded(40.0, least=0, pixels=1)
     fill_m: float = bounded(0.15, least=0)
     compensation: CompensationConfig = field(default_factory=CompensationConfig)
     test: PointTestConfig = field(default_factory=PointTestConfig)

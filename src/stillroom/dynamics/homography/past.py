@@ -9,9 +9,10 @@ import numpy as np
 
 from stillroom.data.frame import Frame
 from stillroom.data.image import RgbdImage
-from stillroom.dynamics.homography.point_motion import ImageView
+from stillroom.dynamics.homography.point_motion import SHRINK, ImageView
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64, U8
+from stillroom.geometry.pixels import in_pixels, pixel_scale
 
 TOO_OLD_S = 1.0
 """Images older than this show too little of what the present one shows."""
@@ -41,7 +42,8 @@ def view_of(image: RgbdImage) -> ImageView:
     for known, view in tuple(_latest):
         if known is image:
             return view
-    made = ImageView(_shrunk(image.gray, 2), _shrunk(image.gray, 4), image.depth_m)
+    times = in_pixels(SHRINK, pixel_scale(image.width, image.height))
+    made = ImageView(_shrunk(image.gray, times), _shrunk(image.gray, 2 * times), image.depth_m)
     _latest.append((image, made))
     return made
 

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from stillroom.bounds import bounded
 from stillroom.compiled import njit
 from stillroom.dynamics.homography.patches import NOT_SEEN, ROOM, find_patch
 from stillroom.geometry.arrays import F32, F64, I64, U8, Bool
@@ -17,7 +18,9 @@ UNKNOWN, STATIC, DYNAMIC = 0, 1, 2
 FOUND, ABSENT = 1, 2
 """Results of the patch search; UNKNOWN is as above."""
 DEPTH_STEP_PX = 2
-"""Spacing of the nine pixels of the depth image that are compared."""
+"""Spacing of the nine pixels of the depth image that are compared, in images 640 pixels long."""
+SHRINK = 2
+"""How many times smaller the finer images are in which patches are searched, in images 640 pixels long."""
 _NEAR_M = 0.1
 
 
@@ -39,7 +42,7 @@ class PointTestConfig:
     """
 
     use_depth: bool = True
-    threshold_px: float = 2.5
+    threshold_px: float = bounded(2.5, least=0, pixels=1)
     tolerance_m: float = 0.08
     tolerance_share: float = 0.04
     min_likeness: float = 0.8
@@ -53,7 +56,8 @@ class ImageView:
     """An image as the test reads it.
 
     Attributes:
-        half, quarter: Brightness at half and a quarter of the size, (H/2, W/2) and (H/4, W/4), distorted.
+        half, quarter: Brightness at half and a quarter of the size, (H/2, W/2) and (H/4, W/4), distorted; of images
+            640 pixels long: larger ones are shrunk more, to the same sizes.
         depth_m: Depth (H, W) [m], 0 where unknown.
     """
 
@@ -63,13 +67,14 @@ class ImageView:
 
 
 class _Images(NamedTuple):
-    """Both images of a test; see `ImageView`."""
+    """Both images of a test, see `ImageView`; `times` is how many times smaller the halves are."""
 
     now_half: U8
     now_quarter: U8
     then_half: U8
     then_quarter: U8
     then_depth_m: F32
+    times: int
 
 
 class _TestPoints(NamedTuple):
@@ -98,6 +103,7 @@ class _Limits(NamedTuple):
     max_unlikeness: float
     nearest_m: float
     iterations: int
+    depth_step_px: int
 
 
 class _Answers(NamedTuple):
@@ -158,7 +164,14 @@ class PointTest:
         """The constant arguments of the kernel."""
         c = self.config
         return (
-            _Images(self.now.half, self.now.quarter, self.then.half, self.then.quarter, self.then.depth_m),
+            _Images(
+                self.now.half,
+                self.now.quarter,
+                self.then.half,
+                self.then.quarter,
+                self.then.depth_m,
+                self.camera.in_pixels(SHRINK),
+            ),
             _TestPoints(self.raw_px, self.px, self.depth_m),
             _Motions(self.T_then_now, self.H_then_now),
             self.camera.lens,
@@ -171,25 +184,25 @@ class PointTest:
                 float(c.max_unlikeness),
                 float(c.nearest_m),
                 c.iterations,
+                self.camera.in_pixels(DEPTH_STEP_PX),
             ),
         )
 
 
 @njit(nogil=True, cache=True)
-def ask_depth(depth_m: F32, px: F64, z: float, tolerance_m: float) -> int:
-    """Return what a depth image (H, W) shows at a pixel, for a surface that should be z away.
+def ask_depth(depth_m: F32, px: F64, z: float, tolerance_m: float, edge: int) -> int:
+    """Return what a depth image (H, W) shows at a pixel and at eight `edge` pixels off, for a surface to be z away.
 
     Returns:
         STATIC when one of nine pixels agrees, DYNAMIC when all known ones lie behind: the place was free; UNKNOWN else:
             it was occluded, or depth is unknown. −1 outside the image.
     """
     column, row = int(px[0] + 0.5), int(px[1] + 0.5)
-    edge = DEPTH_STEP_PX
     if not (edge <= row < depth_m.shape[0] - edge and edge <= column < depth_m.shape[1] - edge):
         return -1
     n_known, n_behind = 0, 0
-    for dy in range(-edge, edge + 1, DEPTH_STEP_PX):
-        for dx in range(-edge, edge + 1, DEPTH_STEP_PX):
+    for dy in range(-edge, edge + 1, edge):
+        for dx in range(-edge, edge + 1, edge):
             seen = depth_m[row + dy, column + dx]
             if seen <= 0.0:
                 continue
@@ -209,19 +222,22 @@ def locate(images: _Images, raw: F64, guess: F64, limits: _Limits, scratch: F32,
     Returns:
         FOUND; ABSENT when the patch at the guess does not match; UNKNOWN else, or where there is no corner.
     """
-    now_half, now_quarter, then_half, then_quarter, _ = images
+    now_half, now_quarter, then_half, then_quarter, _, times = images
+    half, quarter = 1.0 / times, 0.5 / times
+    # Pixel centres are at integers: those of a shrunk image lie between those of the whole one.
+    to_half, to_quarter = 0.5 - 0.5 * half, 0.5 - 0.5 * quarter
     min_likeness, iterations = limits.min_likeness, limits.iterations
-    x, y = 0.5 * raw[0] - 0.25, 0.5 * raw[1] - 0.25
-    u, v = 0.5 * guess[0] - 0.25, 0.5 * guess[1] - 0.25
+    x, y = half * raw[0] - to_half, half * raw[1] - to_half
+    u, v = half * guess[0] - to_half, half * guess[1] - to_half
     near = find_patch(now_half, (x, y), then_half, (u, v), iterations, scratch, found)
     likeness = near
     if near < min_likeness:
-        u, v = 0.25 * guess[0] - 0.375, 0.25 * guess[1] - 0.375
-        x4, y4 = 0.25 * raw[0] - 0.375, 0.25 * raw[1] - 0.375
+        u, v = quarter * guess[0] - to_quarter, quarter * guess[1] - to_quarter
+        x4, y4 = quarter * raw[0] - to_quarter, quarter * raw[1] - to_quarter
         if find_patch(now_quarter, (x4, y4), then_quarter, (u, v), iterations, scratch, found) >= min_likeness:
             u, v = 2.0 * found[0] + 0.5, 2.0 * found[1] + 0.5
             likeness = find_patch(now_half, (x, y), then_half, (u, v), iterations, scratch, found)
-    found[0], found[1] = 2.0 * found[0] + 0.5, 2.0 * found[1] + 0.5
+    found[0], found[1] = times * found[0] + 0.5 * (times - 1), times * found[1] + 0.5 * (times - 1)
     if likeness >= min_likeness:
         return FOUND
     return ABSENT if NOT_SEEN < near < limits.max_unlikeness else UNKNOWN
@@ -275,7 +291,7 @@ def judge_points(
             ty = (T[1, 0] * rx + T[1, 1] * ry + T[1, 2] * z + T[1, 3]) / there
             by_pose[0], by_pose[1] = distorted(lens, tx, ty)
             tolerance_m = max(limits.tolerance_m, limits.tolerance_share * there)
-            shown = ask_depth(then_depth_m, by_pose, there, tolerance_m)
+            shown = ask_depth(then_depth_m, by_pose, there, tolerance_m, limits.depth_step_px)
             if shown == UNKNOWN and then_depth_m[int(by_pose[1] + 0.5), int(by_pose[0] + 0.5)] > 0.0:
                 continue  # It was occluded.
         guess = by_pose if deep else by_plane

@@ -23,7 +23,7 @@ from stillroom.dynamics.multiview.multiview_kernels import (
     judge_points,
     project,
 )
-from stillroom.dynamics.multiview.views import AskedViews, KeyframesConfig, KeyframeViews
+from stillroom.dynamics.multiview.views import STRIDE, AskedViews, KeyframesConfig, KeyframeViews
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F32, F64, I32, I64, U8, Bool
 from stillroom.geometry.camera import Camera
@@ -67,20 +67,20 @@ class GeometryConfig:
     tau_m: float = 0.12
     tau_per_m: float = 0.02
     far_m: float = 7.0
-    window_px: int = bounded(0, least=0)
-    patch_px: int = bounded(3, least=0)
+    window_px: int = bounded(0, least=0, pixels=1)
+    patch_px: int = bounded(3, least=0, pixels=1)
     patch_std_m: float = 0.03
     patch_std_per_m: float = 0.004
     seen_through: bool = True
     tolerance_m: float = 0.08
     tolerance_share: float = 0.04
     growing: bool = True
-    growing_stride: int = bounded(2, least=1)
+    growing_stride: int = bounded(2, least=1, pixels=1)
     mean_m: float = 0.3
     mean_per_m: float = 0.02
     step_m: float = 0.03
     step_per_m: float = 0.008
-    min_area_px: int = bounded(200, least=0)
+    min_area_px: int = bounded(200, least=0, pixels=2)
     min_seen_through: float = 0.1
 
     def build(self) -> "Geometry":
@@ -164,7 +164,8 @@ class Geometry:
         depth_m = np.ascontiguousarray(frame.image.depth_m, dtype=np.float32)
         here = Here(depth_m, rays_of(camera), T_world_cam, camera.lens)
         centres_m = self._centres_m(views, T_world_cam)
-        there = KeyframeDepths(views.depth_m, views.T_cam_world, T_cam_world @ views.T_world_cam, centres_m)
+        T_here_cam, stride = T_cam_world @ views.T_world_cam, camera.in_pixels(STRIDE)
+        there = KeyframeDepths(views.depth_m, views.T_cam_world, T_here_cam, centres_m, stride)
         project(points, there, here.lens, frame.image.height, frame.image.width)
         verdict, before_px = np.full(n, UNSEEN, dtype=np.uint8), np.full((n, 2), -1, dtype=np.int32)
         displaced_px = self.views.displaced_px(frame, T_cam_world)

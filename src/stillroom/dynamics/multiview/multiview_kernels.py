@@ -91,18 +91,20 @@ class KeyframeDepths(NamedTuple):
     """The keyframes.
 
     Attributes:
-        depth_m: Every `STRIDE`-th depth, and the nearest and farthest that it and its eight neighbours know
+        depth_m: Every `stride`-th depth, and the nearest and farthest that it and its eight neighbours know
             (K, h, w, 3) float32; 0 where unknown or moving.
         T_cam_world: Their poses (K, 4, 4).
         T_here_cam: The same in the present camera's frame (K, 4, 4).
         centres_m: Where the keyframe's camera and the present one stand, in the keyframe's frame, (K, 2, 3); for the
             parallax.
+        stride: Of the depths [px].
     """
 
     depth_m: F32
     T_cam_world: F64
     T_here_cam: F64
     centres_m: F64
+    stride: int = STRIDE
 
 
 class Points(NamedTuple):
@@ -254,16 +256,16 @@ def sees(there: KeyframeDepths, k: int, lens: Lens, place_m: tuple[float, float,
     behind.
     """
     X, Y, Z = place_m
-    T, depth_m = there.T_cam_world, there.depth_m
+    T, depth_m, stride = there.T_cam_world, there.depth_m, there.stride
     z = T[k, 2, 0] * X + T[k, 2, 1] * Y + T[k, 2, 2] * Z + T[k, 2, 3]
     if z <= 0.1:
         return UNKNOWN
     x = (T[k, 0, 0] * X + T[k, 0, 1] * Y + T[k, 0, 2] * Z + T[k, 0, 3]) / z
     y = (T[k, 1, 0] * X + T[k, 1, 1] * Y + T[k, 1, 2] * Z + T[k, 1, 3]) / z
     u, v = distorted(lens, x, y)
-    if not (u >= 0 and v >= 0 and u < STRIDE * 10000 and v < STRIDE * 10000):
+    if not (u >= 0 and v >= 0 and u < stride * 10000 and v < stride * 10000):
         return UNKNOWN
-    column, row = int(u / STRIDE + 0.5), int(v / STRIDE + 0.5)
+    column, row = int(u / stride + 0.5), int(v / stride + 0.5)
     if row >= depth_m.shape[1] or column >= depth_m.shape[2]:
         return UNKNOWN
     tolerance = max(limits.tolerance_m, limits.tolerance_share * z)

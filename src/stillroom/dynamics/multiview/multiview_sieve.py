@@ -48,7 +48,7 @@ class MultiViewConfig:
     geometry: bool = True
     combination: str = bounded(UNION, one_of=COMBINATIONS)
     overlap_share: float = bounded(0.3, least=0, most=1)
-    dilation_px: int = bounded(6, least=0)
+    dilation_px: int = bounded(6, least=0, pixels=1)
     test: GeometryConfig = field(default_factory=GeometryConfig)
 
     def build(self, parts: Parts | None = None) -> "MultiViewSieve":
@@ -172,7 +172,7 @@ class PaperMultiViewConfig(MultiViewConfig):
     """
 
     combination: str = bounded(GEOMETRY_FIRST, one_of=COMBINATIONS)
-    dilation_px: int = bounded(15, least=0)
+    dilation_px: int = bounded(15, least=0, pixels=1)
     test: GeometryConfig = field(default_factory=_paper)
 
 
@@ -181,5 +181,5 @@ class CodeMultiViewConfig(MultiViewConfig):
     """The code's numbers: the five farthest of the last twenty keyframes, 30° from translations, 0.6 m, union."""
 
     combination: str = bounded(UNION, one_of=COMBINATIONS)
-    dilation_px: int = bounded(15, least=0)
+    dilation_px: int = bounded(15, least=0, pixels=1)
     test: GeometryConfig = field(default_factory=_code)

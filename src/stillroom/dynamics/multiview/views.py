@@ -45,7 +45,7 @@ class KeyframesConfig:
     choice: str = bounded(SPREAD, one_of=CHOICES)
     max_turn_rad: float = bounded(0.8, above=0)
     far_m: float = bounded(6.0, above=0)
-    grid_px: int = bounded(12, least=0)
+    grid_px: int = bounded(12, least=0, pixels=1)
     apart_s: float = bounded(0.03, least=0)
 
 
@@ -178,21 +178,22 @@ class KeyframeViews:
         return np.asarray(np.sort(order[:n]), dtype=np.int64)
 
     def _view(self, keyframe: int, frame: Frame, moving: Bool, displaced_px: float) -> KeyframeView:
-        small = frame.image.depth_m[::STRIDE, ::STRIDE].copy()
-        small[moving[::STRIDE, ::STRIDE]] = 0
+        stride = frame.camera.in_pixels(STRIDE)
+        small = frame.image.depth_m[::stride, ::stride].copy()
+        small[moving[::stride, ::stride]] = 0
         kp = frame.keypoints
         usable = (kp.depth_m > 0) & (kp.depth_m < self.config.far_m) & ~values_at(moving, kp.raw_px)
         points = frame.camera.back_project(kp.px[usable], kp.depth_m[usable])
         if self.config.grid_px > 0:
-            points = np.concatenate((points, self._on_a_grid(frame, small)))
-        return KeyframeView(keyframe, with_neighbours(small, 1 + round(displaced_px / STRIDE)), points)
+            points = np.concatenate((points, self._on_a_grid(frame, small, stride)))
+        return KeyframeView(keyframe, with_neighbours(small, 1 + round(displaced_px / stride)), points)
 
-    def _on_a_grid(self, frame: Frame, small_m: F32) -> F64:
-        """Return the points (P, 3) of a small depth image at the stride of the grid."""
-        step = max(1, round(self.config.grid_px / STRIDE))
+    def _on_a_grid(self, frame: Frame, small_m: F32, stride: int) -> F64:
+        """Return the points (P, 3) of a depth image at a stride, at that of the grid."""
+        step = max(1, round(self.config.grid_px / stride))
         depth_m = small_m[::step, ::step]
         row, column = np.nonzero((depth_m > 0) & (depth_m < self.config.far_m))
-        raw_px = np.stack((column, row), axis=1).astype(np.float32) * np.float32(step * STRIDE)
+        raw_px = np.stack((column, row), axis=1).astype(np.float32) * np.float32(step * stride)
         return frame.camera.back_project(frame.camera.undistort(raw_px), depth_m[row, column])
 
 

@@ -30,8 +30,8 @@ class RefineConfig:
     """
 
     enabled: bool = True
-    band_px: int = bounded(14, least=0)
-    window_px: int = bounded(90, least=0)
+    band_px: int = bounded(14, least=0, pixels=1)
+    window_px: int = bounded(90, least=0, pixels=1)
     jump_m: float = bounded(0.30, least=0)
     near_m: float = bounded(0.30, least=0)
 

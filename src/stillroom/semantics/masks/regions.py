@@ -26,10 +26,10 @@ class RegionsConfig:
         boxes: Whether each region becomes a box, too; boxes are not dilated.
     """
 
-    min_px: int = bounded(400, least=0)
-    dilate_px: int = bounded(5, least=0)
+    min_px: int = bounded(400, least=0, pixels=2)
+    dilate_px: int = bounded(5, least=0, pixels=1)
     crowd_share: float = bounded(0.6, least=0)
-    crowd_px: int = bounded(5, least=0)
+    crowd_px: int = bounded(5, least=0, pixels=1)
     boxes: bool = True
 
 

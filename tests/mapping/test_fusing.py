@@ -1,5 +1,7 @@
 """Points that are one are joined, and keyframes see what they should."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from small_world import CAMERA, SmallMap, SmallWorld, pose
@@ -47,6 +49,20 @@ def test_duplicates_become_one_point_that_both_see(look: dict[str, float]) -> No
         for p, i in points_of_world(small, k).items():
             assert number.setdefault(i, p) == p
     assert small.map.covisibility.weight(0, 1) >= 0.93 * len(both)
+
+
+def test_in_images_of_twice_the_size_the_same_points_are_joined() -> None:
+    small, large = with_duplicates()[0], with_duplicates()[0]
+    camera, world = CAMERA, large.map
+    for name in ("width", "height", "fx", "fy", "cx", "cy", "bf"):
+        camera = replace(camera, **{name: 2 * getattr(camera, name)})
+    world.scales = replace(world.scales, finest_px=2.0)
+    world.keypoints.px[:] *= 2.0
+    world.keypoints.right_px[world.keypoints.right_px >= 0] *= 2.0
+    fuse_neighbourhood(1, CAMERA, small.map)
+    fuse_neighbourhood(1, camera, world)
+    for k in (0, 1):
+        np.testing.assert_array_equal(world.points_of(k), small.map.points_of(k))
 
 
 def test_the_point_with_more_observations_stays_and_inherits() -> None:

@@ -221,7 +221,9 @@ def _spread(px: F32, score: F32, side_px: float, cells: tuple[int, int], strong:
     start = np.zeros(n_cells + 1, np.int64)
     for i in range(len(px)):
         start[cell[i] + 1] += best[cell[i]] < strong or score[i] >= strong
-    start = np.cumsum(start)
+    # Not by np.cumsum: for it numba imports scipy.linalg.
+    for c in range(n_cells):
+        start[c + 1] += start[c]
     end = start[:-1].copy()
     queues = np.empty(start[-1], np.int64)  # of each cell, the best first
     for i in range(len(px)):

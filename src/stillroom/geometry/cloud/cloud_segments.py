@@ -434,7 +434,9 @@ def sorted_by_box(points: F32, free: Bool, owner: I16, n_boxes: int) -> tuple[I3
         for j in range(free.shape[1]):
             if free[i, j]:
                 start[owner[i, j] + 2] += 1
-    start[:] = np.cumsum(start)
+    # Not by np.cumsum: for it numba imports scipy.linalg.
+    for b in range(1, len(start)):
+        start[b] += start[b - 1]
     n = start[-1]
     at, sorted_points, box = np.empty(n, dtype=np.int32), np.empty((n, 3)), np.empty(n, dtype=np.int32)
     for i in range(free.shape[0]):

@@ -24,8 +24,8 @@ and the same between its columns, and its rows.
 MARGIN_PX = HALF_PX + 2
 MIN_CONTRAST = 4.0
 """Root mean square gradient [gray levels a pixel] that a patch must have in its poorest direction, on average."""
-NOT_SEEN = -1.5
-"""The correlation of a patch without a corner, or outside the image."""
+NOT_SEEN, NO_CORNER = -1.5, -2.0
+"""The correlation of a patch that leaves the other image, and of one without a corner or outside its own image."""
 _ENOUGH_PX = 0.02
 
 
@@ -132,18 +132,18 @@ def find_patch(
         found: Where the patch is (2,) [px]; filled in.
 
     Returns:
-        Similarity of the patches: their normalised correlation; NOT_SEEN where the patch has no corner or leaves
-        an image.
+        Similarity of the patches: their normalised correlation; NO_CORNER where there is no patch to be found, and
+        NOT_SEEN where it leaves the other image.
     """
     x, y = at
     found[0], found[1] = guess
     if not in_view(now, x, y):
-        return NOT_SEEN
+        return NO_CORNER
     mean = take_patch(now, x, y, scratch)
     variance, xx, yy, xy, px, py, sum_x, sum_y = moments(scratch)
     least = 0.5 * (xx + yy - np.sqrt((xx - yy) * (xx - yy) + 4.0 * xy * xy))
     if not least > MIN_CONTRAST * MIN_CONTRAST * N_PIXELS:
-        return NOT_SEEN  # no corner
+        return NO_CORNER
     determinant = xx * yy - xy * xy
     likeness, column, row = NOT_SEEN, -1, -1
     for _ in range(iterations):

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from stillroom.compiled import njit
-from stillroom.dynamics.homography.patches import NOT_SEEN, ROOM, find_patch
+from stillroom.dynamics.homography.patches import NO_CORNER, NOT_SEEN, ROOM, find_patch
 from stillroom.geometry.arrays import F32, F64, I64, U8, Bool
 from stillroom.geometry.camera import Camera, Lens
 from stillroom.geometry.distortion import distorted
@@ -215,6 +215,8 @@ def locate(images: _Images, raw: F64, guess: F64, limits: _Limits, scratch: F32,
     u, v = 0.5 * guess[0] - 0.25, 0.5 * guess[1] - 0.25
     near = find_patch(now_half, (x, y), then_half, (u, v), iterations, scratch, found)
     likeness = near
+    if near == NO_CORNER:
+        return UNKNOWN
     if near < min_likeness:
         u, v = 0.25 * guess[0] - 0.375, 0.25 * guess[1] - 0.375
         x4, y4 = 0.25 * raw[0] - 0.375, 0.25 * raw[1] - 0.375

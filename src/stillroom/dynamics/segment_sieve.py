@@ -149,7 +149,7 @@ class MovedSegments:
         earlier = self._past.before(frame)
         if earlier:
             votes = self._votes(frame, clusters, view, earlier[0], T_cam_world)
-            if self._past.turn_rad_s(frame, T_cam_world) > config.max_turn_rad_s:
+            if np.any(votes > 0.0) and self._past.turn_rad_s(frame, T_cam_world) > config.max_turn_rad_s:
                 votes = np.minimum(votes, 0.0)
             belief = belief + config.gain * votes
         return np.asarray(np.clip(belief, -config.limit, config.limit))

@@ -174,7 +174,7 @@ class MovedSegments:
         return np.where(judged >= config.min_points, vote, 0.0)
 
     def _was_there(
-        self, points: "_SegmentPoints", asked: I64, frame: Frame, earlier: EarlierImage, T_cam_world: F64
+        self, points: "SegmentPoints", asked: I64, frame: Frame, earlier: EarlierImage, T_cam_world: F64
     ) -> Bool:
         """Return for points `asked` (M,) whether the earlier image has a surface where they are now."""
         camera, config = frame.camera, self.config
@@ -186,21 +186,21 @@ class MovedSegments:
         ask(view, points_world_m, config.tolerance_m, config.tolerance_share, agrees, empty)
         return np.asarray(agrees > 0)
 
-    def _points_on(self, frame: Frame, clusters: Clusters) -> "_SegmentPoints":
+    def _points_on(self, frame: Frame, clusters: Clusters) -> "SegmentPoints":
         """Return keypoints on segments, and points spread over them."""
         kp, samples = frame.keypoints, self._sampler.take(frame, clusters)
         chosen = spread(samples.cluster, self.config.max_points)
         room = len(kp) + len(chosen)
         raw_px, px = np.empty((2, room, 2))
-        points = _SegmentPoints(np.empty(room, dtype=np.int64), raw_px, px, np.empty(room))
+        points = SegmentPoints(np.empty(room, dtype=np.int64), raw_px, px, np.empty(room))
         labels, lens = np.ascontiguousarray(clusters.labels), frame.camera.lens
-        n = place(kp.raw_px, kp.px, kp.depth_m, labels, points)
-        project(samples.points_cam_m, samples.cluster, chosen, lens, n, points)
+        n = write_keypoints(kp.raw_px, kp.px, kp.depth_m, labels, points)
+        write_samples(samples.points_cam_m, samples.cluster, chosen, lens, n, points)
         n += len(chosen)
-        return _SegmentPoints(points.segment[:n], points.raw_px[:n], points.px[:n], points.depth_m[:n])
+        return SegmentPoints(points.segment[:n], points.raw_px[:n], points.px[:n], points.depth_m[:n])
 
 
-class _SegmentPoints(NamedTuple):
+class SegmentPoints(NamedTuple):
     """P points on segments: which (P,), where as taken and undistorted (P, 2) [px], and how deep (P,) [m]."""
 
     segment: I64
@@ -210,7 +210,7 @@ class _SegmentPoints(NamedTuple):
 
 
 @njit(nogil=True, cache=True)
-def place(raw_px: F32, px: F32, depth_m: F32, labels: I16, points: _SegmentPoints) -> int:
+def write_keypoints(raw_px: F32, px: F32, depth_m: F32, labels: I16, points: SegmentPoints) -> int:
     """Write the keypoints (N, 2), (N, 2) [px], (N,) [m] that have a depth and a label (H, W); return their number."""
     height, width = labels.shape
     n = 0
@@ -226,7 +226,7 @@ def place(raw_px: F32, px: F32, depth_m: F32, labels: I16, points: _SegmentPoint
 
 
 @njit(nogil=True, cache=True)
-def project(points_cam_m: F64, cluster: I64, chosen: I64, lens: Lens, start: int, points: _SegmentPoints) -> None:
+def write_samples(points_cam_m: F64, cluster: I64, chosen: I64, lens: Lens, start: int, points: SegmentPoints) -> None:
     """Write the chosen (M,) of sampled points (S, 3) [m] with their clusters (S,), from place `start` on."""
     for k in range(len(chosen)):
         i, n = chosen[k], start + k

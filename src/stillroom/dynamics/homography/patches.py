@@ -38,7 +38,7 @@ def in_view(image: U8, x: float, y: float) -> bool:
 
 
 @njit(nogil=True, cache=True)
-def _read(image: U8, top: int, left: int, n_rows: int, part: F32) -> None:
+def read_part(image: U8, top: int, left: int, n_rows: int, part: F32) -> None:
     """Write a part of an image, `_ACROSS` columns wide."""
     for r in range(n_rows):
         line = image[top + r, left : left + _ACROSS]
@@ -52,7 +52,7 @@ def take_patch(image: U8, x: float, y: float, scratch: F32) -> float:
     column, row = int(np.floor(x)), int(np.floor(y))
     fx, fy = np.float32(x - column), np.float32(y - row)
     patch, by_x, by_y, part, along, wide = scratch[0], scratch[1], scratch[2], scratch[3], scratch[4], scratch[5]
-    _read(image, row - HALF_PX - 1, column - HALF_PX - 1, _ACROSS, part)
+    read_part(image, row - HALF_PX - 1, column - HALF_PX - 1, _ACROSS, part)
     for n in range(_ACROSS * _ACROSS - 1):
         along[n] = part[n] + fx * (part[n + 1] - part[n])
     for n in range(_ACROSS * (_ACROSS - 1) - 1):
@@ -152,7 +152,7 @@ def find_patch(
         u, v = np.floor(found[0]), np.floor(found[1])
         if int(u) != column or int(v) != row:  # Else the part that was read still holds the patch.
             column, row = int(u), int(v)
-            _read(then, row - HALF_PX, column - HALF_PX, SIDE_PX + 1, scratch[3])
+            read_part(then, row - HALF_PX, column - HALF_PX, SIDE_PX + 1, scratch[3])
         total, squares, product, along_x, along_y = compare(found[0] - u, found[1] - v, mean, scratch)
         other = total / N_PIXELS
         energy = max(0.0, squares - total * other)

@@ -246,7 +246,7 @@ def _place(here: Here, row: int, column: int) -> tuple[float, float, float]:
     )
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(nogil=True, cache=True, error_model="numpy", inline="always")
 def sees(there: KeyframeDepths, k: int, lens: Lens, place_m: tuple[float, float, float], limits: Limits) -> int:
     """Compare a place [world] with keyframe `k`: AGREES, EMPTY or UNKNOWN.
 

@@ -106,7 +106,7 @@ def _margins(image: U8, y: int, border_px: int, threshold: int, margins: U8) -> 
 
 
 @njit(nogil=True, cache=True)
-def _may_have_corner(above: U8, row: U8, below: U8, start: int, end: int) -> int:
+def _may_have_corner(above: U8, row: U8, below: U8, start: int, end: int) -> np.uint8:
     """Return a bound on the margins of a stretch: nine of the ring in a row have one of each two opposite pixels."""
     u3, u6 = np.uint64(3), np.uint64(6)
     most = np.uint8(0)

@@ -6,7 +6,7 @@ from plain_search import bits_between
 from small_world import SCALES, SmallMap, SmallWorld, pose
 
 from stillroom.data.map import Map
-from stillroom.data.map.links import MAX_DESCRIPTORS
+from stillroom.data.map.links import MAX_DESCRIPTORS, kth_smallest
 from stillroom.geometry import se3
 
 POSES = [pose(0.1 * k, 0.02 * k, 0.15 * k, (0.01 * k, -0.02 * k, 0.0)) for k in range(7)]
@@ -132,3 +132,11 @@ def test_an_empty_map_answers_all_questions() -> None:
     assert len(world.add_points(np.zeros((0, 3)), none)) == 0
     world.remove_points(none)
     world.remove_observations(none)
+
+
+def test_a_place_in_the_order_is_that_of_sorted_values() -> None:
+    rng, scratch = np.random.default_rng(0), np.empty(20, dtype=np.int32)
+    for n in range(1, 21):
+        values = rng.integers(0, 12, 20).astype(np.int32)
+        for k in range(n):
+            assert kth_smallest(values, n, k, scratch) == np.sort(values[:n])[k]

@@ -12,7 +12,16 @@ from small_world import CAMERA, SmallWorld, pose
 from stillroom.data.frame import Frame
 from stillroom.data.semantics import Box
 from stillroom.datasets.open import open_dataset
-from stillroom.dynamics.depth_history import STRIDE, DepthHistory, DepthHistoryConfig, Evidence, SmallView, ask
+from stillroom.dynamics.depth_history import (
+    STRIDE,
+    DepthHistory,
+    DepthHistoryConfig,
+    Evidence,
+    SmallView,
+    ask,
+    ask_ranges,
+    depth_ranges,
+)
 from stillroom.features.orb import OrbConfig
 from stillroom.geometry import se3
 from stillroom.geometry.camera import Camera
@@ -62,11 +71,31 @@ def test_the_kernel_agrees_with_a_plain_loop(camera: Camera, T_world_cam: np.nda
     z_m = np.where(rng.random(n) < 0.05, rng.uniform(-2.0, 0.1, n), rng.uniform(1.4, 2.6, n))
     points_m = se3.transform(T_world_cam, camera.back_project(px, z_m))
     found = asked(depth_m, se3.inverse(T_world_cam), camera, points_m)
+    by_ranges = np.zeros((2, n), dtype=np.int64)
+    view = SmallView(depth_m, se3.inverse(T_world_cam), camera.lens)
+    ask_ranges(view, depth_ranges(depth_m), points_m, 0.05, 0.02, *by_ranges)
+    np.testing.assert_array_equal(by_ranges, (found.agrees, found.empty))
     expected = np.array([plainly(depth_m, se3.inverse(T_world_cam), camera, point) for point in points_m])
     assert np.all(expected.sum(axis=0) > 200), "each answer must occur"
     assert np.sum(~expected.any(axis=1)) > 200
     np.testing.assert_array_equal(found.agrees, expected[:, 0])
     np.testing.assert_array_equal(found.empty, expected[:, 1])
+
+
+def test_ranges_say_the_same_of_depths_that_are_no_numbers() -> None:
+    rng = np.random.default_rng(5)
+    depth_m = rng.choice(
+        [np.nan, np.inf, -np.inf, -1.0, 0.0, 1.0, 2.0], (120, 160), p=[0.1, 0.1, 0.1, 0.1, 0.2, 0.2, 0.2]
+    )
+    depth_m = depth_m.astype(np.float32)
+    px = np.stack((rng.uniform(0, 640, 3000), rng.uniform(0, 480, 3000)), axis=1)
+    view = SmallView(depth_m, np.eye(4), CAMERA.lens)
+    points_m = CAMERA.back_project(px, rng.uniform(0.7, 2.3, 3000))
+    plain, ranged = np.zeros((2, 3000), dtype=np.int64), np.zeros((2, 3000), dtype=np.int64)
+    ask(view, points_m, 0.05, 0.02, *plain)
+    ask_ranges(view, depth_ranges(depth_m), points_m, 0.05, 0.02, *ranged)
+    assert plain.sum(axis=1).min() > 20
+    np.testing.assert_array_equal(ranged, plain)
 
 
 def test_the_kernel_adds_to_what_is_counted() -> None:

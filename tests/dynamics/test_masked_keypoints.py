@@ -10,8 +10,9 @@ from stillroom.config import SlamConfig, with_overrides
 from stillroom.data.frame import Frame
 from stillroom.data.semantics import Box, Semantics
 from stillroom.datasets.open import open_dataset
-from stillroom.dynamics.masked_keypoints import MaskedKeypoints, MaskedKeypointsConfig
+from stillroom.dynamics.masked_keypoints import MaskedKeypoints, MaskedKeypointsConfig, drop_near
 from stillroom.errors import ConfigError
+from stillroom.geometry.pixels import Shape, element, grown, values_at
 from stillroom.schedule import Done
 from stillroom.system import build
 from stillroom.testing.sieve_contract import TINY
@@ -40,6 +41,17 @@ def test_what_lies_on_the_mask_or_within_the_border_goes(border_px: int) -> None
     frame = placed([(320 + x, 240) for x in offsets])
     assert sieve(frame, Done(a_disc())).is_static.tolist() == [False, False, False, True]
     assert frame.is_static.all(), "the frame that was given has changed"
+
+
+def test_the_border_is_that_of_a_dilated_mask() -> None:
+    rng = np.random.default_rng(0)
+    mask = rng.random((480, 640)) < 0.005
+    raw_px = rng.uniform((-5, -5), (645, 485), (3000, 2)).astype(np.float32)
+    for border_px in (0, 2, 5):
+        is_static = rng.random(3000) < 0.8
+        expected = is_static & ~values_at(grown(mask, border_px, Shape.ELLIPSE), raw_px)
+        drop_near(mask, raw_px, element(border_px, Shape.ELLIPSE), is_static)
+        np.testing.assert_array_equal(is_static, expected)
 
 
 def test_an_earlier_verdict_stays() -> None:

@@ -8,11 +8,12 @@ from stillroom.features.orb import (
     BORDER_PX,
     N_TURNS,
     PATCH_RADIUS_PX,
+    TURNED_REACH_PX,
     describe,
     disc_weights,
     orientations,
     patch_half_widths,
-    turned_offsets,
+    turned_places,
 )
 
 RNG = np.random.default_rng(5)
@@ -77,7 +78,7 @@ def test_descriptor_bits_are_the_comparisons_in_order() -> None:
     steps = RNG.integers(0, N_TURNS, len(PX))
     angle_rad = (2 * np.pi * steps / N_TURNS).astype(np.float32)
     found = np.zeros((len(PX), 32), np.uint8)
-    describe(IMAGE, PX.astype(np.float32), angle_rad, turned_offsets(PATTERN, IMAGE.shape[1]), found)
+    describe(IMAGE, PX.astype(np.float32), angle_rad, turned_places(PATTERN), found)
     for i, (x, y) in enumerate(PX):
         c, s = np.cos(2 * np.pi * steps[i] / N_TURNS), np.sin(2 * np.pi * steps[i] / N_TURNS)
         for k, (x0, y0, x1, y1) in enumerate(PATTERN.astype(float)):
@@ -88,21 +89,24 @@ def test_descriptor_bits_are_the_comparisons_in_order() -> None:
 
 @pytest.mark.parametrize("turn_rad", [-np.pi, -3.0, -0.01, 0.0, 0.01, 1.0, np.pi, 6.2])
 def test_the_nearest_turn_of_the_table_is_used(turn_rad: float) -> None:
-    offsets = np.tile(np.arange(N_TURNS, dtype=np.int32)[:, None], (1, 512))
-    offsets[:, 0::2] = 0  # the first place is the keypoint itself, the second tells the turn by its brightness
-    offsets[:, 1::2] += 1
+    # The first place is the keypoint itself, the second tells the turn by where it is: sixteen in a row.
+    places = np.full((N_TURNS, 512), 256 * TURNED_REACH_PX + TURNED_REACH_PX, dtype=np.uint16)
+    turns = np.arange(N_TURNS)
+    places[:, 1::2] = (256 * (turns // 16) + turns % 16)[:, None]
     nearest = round(turn_rad / (2 * np.pi) * N_TURNS) % N_TURNS
     for bright, expected in ((nearest, 255), ((nearest + 1) % N_TURNS, 0)):
-        row = np.zeros((1, 1024), np.uint8)
-        row[0, 300 + 1 + bright] = 1
+        image = np.zeros((60, 70), np.uint8)
+        image[5 + bright // 16, 9 + bright % 16] = 1
         found = np.full((1, 32), 77, np.uint8)
-        describe(row, np.array([[300, 0]], np.float32), np.array([turn_rad], np.float32), offsets, found)
+        px = np.array([[9 + TURNED_REACH_PX, 5 + TURNED_REACH_PX]], np.float32)
+        describe(image, px, np.array([turn_rad], np.float32), places, found)
         assert np.all(found == expected)
 
 
 def test_the_turned_pattern_stays_within_the_border() -> None:
-    farthest = np.array([[13, 13, -13, 13]] * 256, dtype=np.int32)
-    offsets = turned_offsets(farthest, 1000)
-    row = np.rint(offsets / 1000)
-    assert np.abs(row).max() <= BORDER_PX
-    assert np.abs(offsets - 1000 * row).max() <= BORDER_PX
+    places = turned_places(np.array([[13, 13, -13, 13]] * 256, dtype=np.int32)).astype(int)
+    assert places.min() >= 0
+    for along in (places // 256, places % 256):
+        assert along.min() == 0
+        assert along.max() == 2 * TURNED_REACH_PX
+    assert TURNED_REACH_PX < BORDER_PX

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from stillroom.features import orb as orb_pattern_module
-from stillroom.features.orb import REACH_PX, describe, disc_weights, orb_pattern, orientations, turned_offsets
+from stillroom.features.orb import REACH_PX, describe, disc_weights, orb_pattern, orientations, turned_places
 
 
 def textured(seed: int = 0) -> np.ndarray:
@@ -75,7 +75,7 @@ def test_the_kernel_with_its_own_angles_is_close_to_opencv(
     px, _, descriptors = opencv_features(image)
     own_rad, own = np.zeros(len(px), np.float32), np.zeros((len(px), 32), np.uint8)
     orientations(image, px, disc_weights(), own_rad)
-    describe(blur(image), px, own_rad, turned_offsets(orb_pattern(), image.shape[1]), own)
+    describe(blur(image), px, own_rad, turned_places(orb_pattern()), own)
     assert agreement(own, descriptors) > least
 
 
@@ -84,7 +84,7 @@ def test_the_kernel_is_close_to_opencv_on_a_real_image(freiburg1: Path) -> None:
     px, angle_rad, descriptors = opencv_features(image)
     assert len(px) > 100
     own = np.zeros((len(px), 32), np.uint8)
-    offsets = turned_offsets(orb_pattern(), image.shape[1])
+    offsets = turned_places(orb_pattern())
     for blurred, least in ((opencv_blur(image), 0.98), (box_blur(image), 0.95)):
         describe(blurred, px, angle_rad, offsets, own)
         assert agreement(own, descriptors) > least
@@ -93,7 +93,7 @@ def test_the_kernel_is_close_to_opencv_on_a_real_image(freiburg1: Path) -> None:
 def test_a_pattern_that_opencv_does_not_use_is_noticed() -> None:
     image = textured(2)
     px, angle_rad, descriptors = opencv_features(image)
-    offsets = turned_offsets(np.ascontiguousarray(orb_pattern()[:, [2, 3, 0, 1]]), image.shape[1])
+    offsets = turned_places(np.ascontiguousarray(orb_pattern()[:, [2, 3, 0, 1]]))
     swapped = np.zeros((len(px), 32), np.uint8)
     describe(opencv_blur(image), px, angle_rad, offsets, swapped)
     assert agreement(swapped, descriptors) < 0.1

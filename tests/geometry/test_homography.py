@@ -135,6 +135,14 @@ def test_the_gradient_is_that_of_the_error() -> None:
     numeric = [(error(H.ravel() + step) - error(H.ravel() - step)) / 2e-6 for step in steps]
     np.testing.assert_allclose(2 * gradient, numeric, rtol=1e-5, atol=1e-5)
     np.testing.assert_allclose(normal, normal.T)
+
+    def residuals(h: np.ndarray) -> np.ndarray:
+        M = h.reshape(3, 3)
+        there, back = homography.apply(M, a) - b, homography.apply(np.linalg.inv(M), b) - a
+        return np.concatenate((np.sqrt(weights[0]) * there.ravel(), np.sqrt(weights[1]) * back.ravel()))
+
+    J = np.stack([(residuals(H.ravel() + step) - residuals(H.ravel() - step)) / 2e-6 for step in steps], axis=1)
+    np.testing.assert_allclose(normal, J.T @ J, rtol=1e-5, atol=1e-5)
     assert np.linalg.eigvalsh(normal)[0] > -1e-9
 
 

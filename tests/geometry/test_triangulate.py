@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from stillroom.geometry import se3
-from stillroom.geometry.epipolar import ray_cosines, triangulate
+from stillroom.geometry.epipolar import triangulate
 
 
 def two_views(seed: int, noise: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -44,15 +44,3 @@ def test_parallel_rays_meet_nowhere_near() -> None:
 
 def test_no_rays_give_no_points() -> None:
     assert triangulate(np.eye(4), np.eye(4), np.zeros((0, 2)), np.zeros((0, 2))).shape == (0, 3)
-    assert ray_cosines(np.eye(4), np.eye(4), np.zeros((0, 2)), np.zeros((0, 2))).shape == (0,)
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_the_angle_between_rays_is_the_angle_at_the_point(seed: int) -> None:
-    first, second, first_rays, second_rays, points = two_views(seed)
-    T_world_first, T_world_second = se3.inverse(first), se3.inverse(second)
-    a, b = points - T_world_first[:3, 3], points - T_world_second[:3, 3]
-    expected = (a * b).sum(axis=1) / np.linalg.norm(a, axis=1) / np.linalg.norm(b, axis=1)
-    np.testing.assert_allclose(
-        ray_cosines(T_world_first, T_world_second, first_rays, second_rays), expected, atol=1e-12
-    )

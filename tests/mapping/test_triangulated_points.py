@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 from small_world import CAMERA, SmallMap, SmallWorld, pose
 
+from stillroom.geometry import se3
+from stillroom.mapping import new_points
 from stillroom.mapping.new_points import by_triangulation
 
 SIDE = pose(0.4, 0.05, 0.0, (0.0, -0.08, 0.01))
@@ -149,3 +151,71 @@ def test_what_meets_behind_a_camera_or_off_its_depth_is_no_point() -> None:
     believed = rows_of_new[rows_of_new >= rows.start]
     assert np.all(table.right_px[believed] < 0)  # where it lies outside the image nothing contradicts
     assert len(believed) < 5
+
+
+def some_pairs(T_world_second: np.ndarray, depth_share: float) -> tuple[SmallMap, np.ndarray, np.ndarray]:
+    """Two keyframes' rows (M,) that see one point of the world each, a tenth of them wrongly paired."""
+    small = two_keyframes(T_world_second, depth_share=depth_share, noise_px=0.5)
+    _, first, second = np.intersect1d(*small.seen, return_indices=True)
+    second[::10] = np.roll(second[::10], 1)
+    return small, first, small.map.rows(1).start + second
+
+
+def columns(small: SmallMap) -> new_points._Seen:
+    table = small.map.keypoints
+    return new_points._Seen(table.px, table.depth_m, table.right_px, table.octave)
+
+
+LENS = (CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy, CAMERA.bf)
+
+
+@pytest.mark.parametrize("depth_share", [0.0, 0.5, 1.0])
+def test_the_way_is_that_of_the_larger_parallax(depth_share: float) -> None:
+    small, first, second = some_pairs(FORWARD, depth_share)
+    poses, table = small.map.keyframes.T_world_cam, small.map.keypoints
+    ways = new_points.choose_ways(first, second, columns(small), poses[0], poses[1], LENS)
+    rays = [CAMERA.back_project(table.px[rows], np.ones(len(rows))) for rows in (first, second)]
+    a, b = (r @ T[:3, :3].T / np.linalg.norm(r, axis=1, keepdims=True) for r, T in zip(rays, poses, strict=True))
+    cosine = (a * b).sum(axis=1)
+    half = CAMERA.baseline_m / 2
+    depths = [table.depth_m[rows].astype(np.float64) for rows in (first, second)]
+    stereo = [np.where(d > 0, np.cos(2 * np.arctan2(half, np.where(d > 0, d, 1))), 2.0) for d in depths]
+    for i, way in enumerate(ways.tolist()):
+        mine, theirs = stereo[0][i], stereo[1][i]
+        has_depth = min(mine, theirs) < 1
+        if 0 < cosine[i] < (min(mine, theirs) if has_depth else 0.9998):
+            assert way == new_points.BY_RAYS
+        elif not has_depth:
+            assert way == new_points.BY_NOTHING
+        else:
+            assert way == (new_points.BY_SECOND if theirs <= mine else new_points.BY_FIRST)
+    assert len(np.unique(ways)) > 1
+
+
+def test_what_does_not_project_to_where_it_was_seen_is_no_point() -> None:
+    small, first, second = some_pairs(SIDE, 0.5)
+    world, table = small.map, small.map.keypoints
+    positions_m = small.world.points_m[small.seen[0][first]].copy()
+    positions_m[::7, 2] *= -1
+    T_cam_world = se3.inverse(world.keyframes.T_world_cam[1])
+    good = np.ones(len(first), dtype=bool)
+    new_points.check(positions_m, second, columns(small), T_cam_world, LENS, world.scales.inverse_variances, good)
+    cam = se3.transform(T_cam_world, positions_m)
+    px, right_px = CAMERA.project(cam), table.right_px[second]
+    error2 = ((px - table.px[second]) ** 2).sum(axis=1)
+    error2 += np.where(right_px >= 0, (px[:, 0] - CAMERA.bf / cam[:, 2] - right_px) ** 2, 0)
+    limit = np.where(right_px >= 0, 7.815, 5.991) / world.scales.inverse_variances[table.octave[second]]
+    np.testing.assert_array_equal(good, (cam[:, 2] > 0) & (error2 <= limit))
+    assert 0.1 < good.mean() < 0.9
+
+
+def test_levels_must_fit_the_distances() -> None:
+    rng = np.random.default_rng(0)
+    factors, first, second = 1.2 ** np.arange(8), *rng.integers(0, 8, (2, 300)).astype(np.int32)
+    positions_m, there = rng.uniform(1, 4, (300, 3)), pose(0.8)
+    good = np.ones(300, dtype=bool)
+    new_points.check_scales(positions_m, first, second, np.eye(4), there, factors, 1.8, good)
+    near, far = (np.linalg.norm(positions_m - T[:3, 3], axis=1) for T in (np.eye(4), there))
+    quotient = far / near / (factors[first] / factors[second])
+    np.testing.assert_array_equal(good, (quotient < 1.8) & (quotient > 1 / 1.8))
+    assert 0.2 < good.mean() < 0.9

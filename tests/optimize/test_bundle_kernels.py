@@ -35,6 +35,14 @@ def some_active(work: _Adjustment) -> np.ndarray:
     return in_problem_order
 
 
+def test_observations_are_sorted_by_point_then_by_keyframe_and_else_stay_in_order() -> None:
+    rng = np.random.default_rng(3)
+    points, slots = rng.integers(0, 40, 500), rng.integers(-1, 6, 500)
+    starts, order = bundle_kernels.sort_observations(points, slots, 42)
+    np.testing.assert_array_equal(order, np.lexsort((np.arange(500), slots, points)))
+    np.testing.assert_array_equal(starts, np.searchsorted(np.sort(points), np.arange(43)))
+
+
 def symmetric(lower: np.ndarray) -> np.ndarray:
     return np.tril(lower) + np.tril(lower, -1).T
 

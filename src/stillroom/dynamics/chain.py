@@ -55,6 +55,7 @@ class Chain:
     def __init__(self, sieves: Sequence[MatchSieve], world: Map) -> None:
         """Take the sieves, at least one, the most trusted first, and the map; each has its own life cycle."""
         self._asked = tuple(Asking(sieve, world) for sieve in sieves)
+        self._united: tuple[Motion, Motion, Motion] | None = None
 
     def remember(self, frame: Frame, T_cam_world: F64, keyframe: int) -> None:
         """Pass the frame to all of them."""
@@ -68,7 +69,13 @@ class Chain:
         """Return the union of what any of them finds dynamic."""
         together, *others = [asked.judge(question) for asked in self._asked]
         for verdict in others:
-            both = together.united_with(verdict)
+            both = self._union(together, verdict)
             if question.leaves_enough(both):
                 together = both
         return together
+
+    def _union(self, first: Motion, second: Motion) -> Motion:
+        """Return the union of two answers; the same one for those of the last time: stages of a frame often repeat."""
+        if self._united is None or self._united[0] is not first or self._united[1] is not second:
+            self._united = first, second, first.united_with(second)
+        return self._united[2]

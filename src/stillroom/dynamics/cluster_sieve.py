@@ -163,8 +163,17 @@ class ClusterSieve:
         if len(pairs) == 0:
             return np.full(len(clusters), 0.5)
         kp, config, positions_m = frame.keypoints, self.config, question.world.points.position_m
-        limits, lens = (np.float32(config.max_step_m), np.float32(config.max_step_share)), frame.camera.lens
-        fails = has_stepped(pairs.keypoint, pairs.point_id, kp.px, kp.depth_m, positions_m, question.T_cam_world, lens, *limits)
+        fails = has_stepped(
+            pairs.keypoint,
+            pairs.point_id,
+            kp.px,
+            kp.depth_m,
+            positions_m,
+            question.T_cam_world,
+            frame.camera.lens,
+            np.float32(config.max_step_m),
+            np.float32(config.max_step_share),
+        )
         fails |= self._boxes.is_off_its_line(replace(question, stage=Stage.LOCAL_MAP), pairs)
         n = np.bincount(cluster, minlength=len(clusters))
         share = np.bincount(cluster, fails, minlength=len(clusters)) / np.maximum(n, 1)

@@ -18,7 +18,9 @@ from stillroom.dynamics.depth_history import STRIDE, SmallView, ask
 from stillroom.dynamics.homography.past import EarlierImage, Past, view_of
 from stillroom.dynamics.homography.point_motion import DYNAMIC, STATIC, UNKNOWN, ImageView, PointTest, PointTestConfig
 from stillroom.geometry import homography, se3
-from stillroom.geometry.arrays import F64, I64, Bool
+from stillroom.geometry.arrays import F32, F64, I16, I64, Bool
+from stillroom.geometry.camera import Lens
+from stillroom.geometry.distortion import distorted
 from stillroom.geometry.pixels import values_at
 from stillroom.protocols import Parts
 
@@ -147,7 +149,7 @@ class MovedSegments:
         earlier = self._past.before(frame)
         if earlier:
             votes = self._votes(frame, clusters, view, earlier[0], T_cam_world)
-            if self._past.turn_rad_s(frame, T_cam_world) > config.max_turn_rad_s:
+            if np.any(votes > 0.0) and self._past.turn_rad_s(frame, T_cam_world) > config.max_turn_rad_s:
                 votes = np.minimum(votes, 0.0)
             belief = belief + config.gain * votes
         return np.asarray(np.clip(belief, -config.limit, config.limit))
@@ -172,7 +174,7 @@ class MovedSegments:
         return np.where(judged >= config.min_points, vote, 0.0)
 
     def _was_there(
-        self, points: "_SegmentPoints", asked: I64, frame: Frame, earlier: EarlierImage, T_cam_world: F64
+        self, points: "SegmentPoints", asked: I64, frame: Frame, earlier: EarlierImage, T_cam_world: F64
     ) -> Bool:
         """Return for points `asked` (M,) whether the earlier image has a surface where they are now."""
         camera, config = frame.camera, self.config
@@ -185,29 +187,55 @@ class MovedSegments:
         ask(view, points_world_m, config.tolerance_m, config.tolerance_share, agrees, empty)
         return np.asarray(agrees > 0)
 
-    def _points_on(self, frame: Frame, clusters: Clusters) -> "_SegmentPoints":
+    def _points_on(self, frame: Frame, clusters: Clusters) -> "SegmentPoints":
         """Return keypoints on segments, and points spread over them."""
-        kp, camera, samples = frame.keypoints, frame.camera, self._sampler.take(frame, clusters)
-        label = clusters.labels_at(kp.raw_px).astype(np.int64)
-        on = (label >= 0) & (kp.depth_m > 0)
+        kp, samples = frame.keypoints, self._sampler.take(frame, clusters)
         chosen = spread(samples.cluster, self.config.max_points)
-        points_cam_m = samples.points_cam_m[chosen]
-        px = camera.project(points_cam_m)
-        return _SegmentPoints(
-            np.concatenate((label[on], samples.cluster[chosen])),
-            np.concatenate((kp.raw_px[on], camera.distort(px)), dtype=np.float64),
-            np.concatenate((kp.px[on], px), dtype=np.float64),
-            np.concatenate((kp.depth_m[on], points_cam_m[:, 2]), dtype=np.float64),
-        )
+        room = len(kp) + len(chosen)
+        raw_px, px = np.empty((2, room, 2))
+        points = SegmentPoints(np.empty(room, dtype=np.int64), raw_px, px, np.empty(room))
+        labels, lens = np.ascontiguousarray(clusters.labels), frame.camera.lens
+        n = write_keypoints(kp.raw_px, kp.px, kp.depth_m, labels, points)
+        write_samples(samples.points_cam_m, samples.cluster, chosen, lens, n, points)
+        n += len(chosen)
+        return SegmentPoints(points.segment[:n], points.raw_px[:n], points.px[:n], points.depth_m[:n])
 
 
-class _SegmentPoints(NamedTuple):
+class SegmentPoints(NamedTuple):
     """P points on segments: which (P,), where as taken and undistorted (P, 2) [px], and how deep (P,) [m]."""
 
     segment: I64
     raw_px: F64
     px: F64
     depth_m: F64
+
+
+@njit(nogil=True, cache=True)
+def write_keypoints(raw_px: F32, px: F32, depth_m: F32, labels: I16, points: SegmentPoints) -> int:
+    """Write the keypoints (N, 2), (N, 2) [px], (N,) [m] that have a depth and a label (H, W); return their number."""
+    height, width = labels.shape
+    n = 0
+    for i in range(len(raw_px)):
+        column = min(max(int(np.rint(raw_px[i, 0])), 0), width - 1)
+        row = min(max(int(np.rint(raw_px[i, 1])), 0), height - 1)
+        if labels[row, column] >= 0 and depth_m[i] > 0.0:
+            points.segment[n], points.depth_m[n] = labels[row, column], depth_m[i]
+            points.raw_px[n] = raw_px[i]
+            points.px[n] = px[i]
+            n += 1
+    return n
+
+
+@njit(nogil=True, cache=True)
+def write_samples(points_cam_m: F64, cluster: I64, chosen: I64, lens: Lens, start: int, points: SegmentPoints) -> None:
+    """Write the chosen (M,) of sampled points (S, 3) [m] with their clusters (S,), from place `start` on."""
+    for k in range(len(chosen)):
+        i, n = chosen[k], start + k
+        x, y, z = points_cam_m[i]
+        u, v = lens.fx * x / z + lens.cx, lens.fy * y / z + lens.cy
+        points.segment[n], points.depth_m[n] = cluster[i], z
+        points.px[n, 0], points.px[n, 1] = u, v
+        points.raw_px[n, 0], points.raw_px[n, 1] = distorted(lens, (u - lens.cx) / lens.fx, (v - lens.cy) / lens.fy)
 
 
 def spread(group: I64, most: int) -> I64:

@@ -297,9 +297,14 @@ def _search_epipolar(
     return found, found_bits
 
 
-@njit(nogil=True, cache=True)
 def one_to_one(target: I32, bits: I32, n_targets: int) -> tuple[I32, I32]:
     """Keep for each target the nearest query, of equal ones the first; `target` (Q,) is −1 where one found nothing."""
+    query, found = _one_to_one(target, bits, n_targets)
+    return query, found
+
+
+@njit(nogil=True, cache=True)
+def _one_to_one(target: I32, bits: I32, n_targets: int) -> tuple[I32, I32]:
     owner = np.full(n_targets, -1, np.int32)
     for q in range(len(target)):
         t = target[q]

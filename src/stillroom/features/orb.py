@@ -11,9 +11,8 @@ from stillroom.compiled import njit
 from stillroom.data.frame import Frame, Keypoints, ScaleLevels
 from stillroom.data.image import RgbdImage
 from stillroom.features.corners import Corners, detect, spread
-from stillroom.geometry.arrays import F32, F64, I32, I64, U8, Bool
+from stillroom.geometry.arrays import F32, F64, I32, I64, U8, U16, Bool
 from stillroom.geometry.camera import Camera
-from stillroom.geometry.pixels import values_at
 from stillroom.protocols import Parts
 
 PATCH_RADIUS_PX = 15
@@ -23,6 +22,8 @@ N_TURNS = 256
 """The pattern is turned in steps of 1.4°, a tenth of what the descriptor notices; a table is faster than sines."""
 REACH_PX = 13
 """No comparison reaches further than this from the keypoint, along x or y."""
+TURNED_REACH_PX = 18
+"""The same once it is turned: 13·√2 px."""
 _WIDTH = 2 * REACH_PX + 1
 _TILE_PX = 64
 _TILES = 48
@@ -83,31 +84,37 @@ def orientations(image: U8, px: F32, weights: tuple[F32, F32], angle_rad: F32) -
         angle_rad[i] = np.arctan2(m01, m10)
 
 
-def turned_offsets(pattern: I32, row_px: int) -> I32:
-    """Return the pattern (256, 4) turned by each of `N_TURNS` angles, as offsets in a flat image with rows of `row_px`.
+def turned_places(pattern: I32) -> U16:
+    """Return the pattern (256, 4) turned by each of `N_TURNS` angles, (N_TURNS, 512) uint16.
 
-    Returns:
-        Offsets (N_TURNS, 512) int32: of comparison k the first place at 2k, the second at 2k + 1.
+    Of comparison k the first place is at 2k, the second at 2k + 1: the row times 256 and the column, both counted from
+    the first that can be reached.
     """
     angle_rad = 2.0 * np.pi * np.arange(N_TURNS) / N_TURNS
     c, s = np.cos(angle_rad)[:, None], np.sin(angle_rad)[:, None]
     x, y = pattern.reshape(-1, 2).T.astype(np.float64)
-    return np.asarray(np.rint(x * s + y * c) * row_px + np.rint(x * c - y * s), dtype=np.int32)
+    row, column = TURNED_REACH_PX + np.rint(x * s + y * c), TURNED_REACH_PX + np.rint(x * c - y * s)
+    return np.asarray(256 * row + column, dtype=np.uint16)
 
 
 @njit(nogil=True, cache=True)
-def describe(blurred: U8, px: F32, angle_rad: F32, offsets: I32, descriptors: U8) -> None:
+def describe(blurred: U8, px: F32, angle_rad: F32, places: U16, descriptors: U8) -> None:
     """Fill the descriptors (N, 32): 256 comparisons of the blurred level, turned by the keypoint's angle."""
-    flat = blurred.reshape(-1)
+    # One small table for all levels stays in the processor's cache; ready offsets would need one for each.
+    flat, width = blurred.reshape(-1), np.uint64(blurred.shape[1])
     per_rad = N_TURNS / (2.0 * np.pi)
+    u1, u8, low = np.uint64(1), np.uint64(8), np.uint64(255)
     for i in range(len(px)):
-        middle = int(px[i, 1]) * blurred.shape[1] + int(px[i, 0])
-        turned = offsets[int(np.floor(angle_rad[i] * per_rad + 0.5)) % N_TURNS]
-        for byte in range(32):
-            value = 0
-            for bit in range(8):
-                k = 16 * byte + 2 * bit
-                value |= (flat[middle + turned[k]] < flat[middle + turned[k + 1]]) << bit
+        first = np.uint64(px[i, 1] - TURNED_REACH_PX) * width + np.uint64(px[i, 0] - TURNED_REACH_PX)
+        turned = places[int(np.floor(angle_rad[i] * per_rad + 0.5)) % N_TURNS]
+        for byte in range(np.uint64(32)):
+            value = np.uint64(0)
+            for bit in range(u8):
+                k = np.uint64(16) * byte + np.uint64(2) * bit
+                one, other = np.uint64(turned[k]), np.uint64(turned[k + u1])
+                one = first + (one >> u8) * width + (one & low)
+                other = first + (other >> u8) * width + (other & low)
+                value |= np.uint64(flat[one] < flat[other]) << bit
             descriptors[i, byte] = value
 
 
@@ -216,10 +223,14 @@ class OrbExtractor:
         self.config, self.camera, self.seed = config, camera, seed
         self.scales = config.scales(camera)
         self._disc = disc_weights()
+        self._range_m = np.float32(config.min_depth_m), np.float32(config.max_depth_m)
         shares = self.scales.factors**-1.0
         self._quotas = [int(q) for q in np.rint(config.n_features * shares / shares.sum())]
         self._sizes = [(max(1, round(camera.width / f)), max(1, round(camera.height / f))) for f in self.scales.factors]
-        self._offsets = [turned_offsets(orb_pattern(), width_px) for width_px, _ in self._sizes]
+        self._ratios = np.array([camera.width, camera.height]) / np.array(self._sizes)
+        self._places = turned_places(orb_pattern())
+        # The level, and it blurred once and twice. New ones for every image would cost as much as a level's corners.
+        self._scratch = [np.empty((3, height_px, width_px), np.uint8) for width_px, height_px in self._sizes]
 
     def extract(self, image: RgbdImage) -> Frame:
         """Return the frame of the image; a black image gives zero keypoints."""
@@ -231,7 +242,7 @@ class OrbExtractor:
         angle_rad, descriptors = self._describe(levels, corners, chosen)
         raw_px = self._to_finest_level(corners, chosen)
         px = self.camera.undistort(raw_px)
-        depth_m = self._depth_at(image.depth_m, raw_px)
+        depth_m = _depth_at(image.depth_m, raw_px, *self._range_m)
         keypoints = Keypoints(
             px=px,
             raw_px=raw_px,
@@ -245,8 +256,9 @@ class OrbExtractor:
 
     def _pyramid(self, gray: U8) -> list[U8]:
         levels = [_at_usual_size(gray, self._sizes[0])]
-        for size in self._sizes[1:]:
-            levels.append(np.asarray(cv2.resize(levels[-1], size, interpolation=cv2.INTER_LINEAR), dtype=np.uint8))
+        for size, (level, _, _) in zip(self._sizes[1:], self._scratch[1:], strict=True):
+            resized = cv2.resize(levels[-1], size, dst=level, interpolation=cv2.INTER_LINEAR)
+            levels.append(np.asarray(resized, dtype=np.uint8))
         return levels
 
     def _describe(self, levels: list[U8], corners: Corners, chosen: I64) -> tuple[F32, U8]:
@@ -259,19 +271,26 @@ class OrbExtractor:
                 continue
             px = corners.px[chosen[own]]
             # Two 5×5 boxes have the variance of OpenCV's Gaussian (σ = 2 px) at two thirds of its cost.
-            blurred = np.asarray(cv2.blur(cv2.blur(image, (5, 5)), (5, 5)), dtype=np.uint8)
+            _, once, twice = self._scratch[number]
+            blurred = np.asarray(cv2.blur(cv2.blur(image, (5, 5), dst=once), (5, 5), dst=twice), dtype=np.uint8)
             orientations(image, px, self._disc, angle_rad[own])
-            describe(blurred, px, angle_rad[own], self._offsets[number], descriptors[own])
+            describe(blurred, px, angle_rad[own], self._places, descriptors[own])
         return angle_rad, descriptors
 
     def _to_finest_level(self, corners: Corners, chosen: I64) -> F32:
         """Return positions (K, 2) in the image as taken; pixel centres, not corners, are what a resize keeps."""
-        width_px, height_px = np.array(self._sizes, dtype=np.float64).T
-        level = corners.level[chosen]
-        ratio = np.stack((self.camera.width / width_px, self.camera.height / height_px), axis=1)[level]
+        ratio = self._ratios[corners.level[chosen]]
         return np.asarray((corners.px[chosen] + 0.5) * ratio - 0.5, dtype=np.float32)
 
-    def _depth_at(self, depth_m: F32, raw_px: F32) -> F32:
-        depth = values_at(depth_m, raw_px)
-        known = (depth >= self.config.min_depth_m) & (depth <= self.config.max_depth_m)
-        return np.where(known, depth, 0.0).astype(np.float32)
+
+@njit(nogil=True, cache=True)
+def _depth_at(depth_m: F32, raw_px: F32, min_m: np.float32, max_m: np.float32) -> F32:
+    """Return the depth (N,) at the nearest pixel, outside of the image at its edge; 0 where it is not in range."""
+    height, width = depth_m.shape
+    found_m = np.zeros(len(raw_px), np.float32)
+    for i in range(len(raw_px)):
+        column = min(max(int(np.rint(raw_px[i, 0])), 0), width - 1)
+        row = min(max(int(np.rint(raw_px[i, 1])), 0), height - 1)
+        if min_m <= depth_m[row, column] <= max_m:
+            found_m[i] = depth_m[row, column]
+    return found_m

@@ -34,14 +34,6 @@ def triangulate(T_first_world: Floats, T_second_world: Floats, first_rays: Float
         return np.asarray(homogeneous[:, :3] / homogeneous[:, 3:])
 
 
-def ray_cosines(T_world_first: Floats, T_world_second: Floats, first_rays: Floats, second_rays: Floats) -> F64:
-    """Return the cosine (N,) of the angle between two cameras' rays (N, 2) to the same point."""
-    first = np.column_stack((first_rays, np.ones(len(first_rays)))) @ np.asarray(T_world_first)[:3, :3].T
-    second = np.column_stack((second_rays, np.ones(len(second_rays)))) @ np.asarray(T_world_second)[:3, :3].T
-    lengths = np.linalg.norm(first, axis=1) * np.linalg.norm(second, axis=1)
-    return np.asarray(np.einsum("ij,ij->i", first, second) / lengths)
-
-
 def fundamental_from_motion(T_second_first: Floats, K: Floats) -> F64:
     """Return F (..., 3, 3) with `p_second @ F @ p_first = 0` from known motions (..., 4, 4): F = K⁻ᵀ [t]× R K⁻¹.
 

@@ -303,15 +303,13 @@ def _solve(normal: F64, gradient: F64, damping: float, step: F64) -> bool:
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def linearize(
-    H: F64, G: F64, a: F64, b: F64, weights: tuple[float, float], normal: F64, gradient: F64
-) -> float:
+def linearize(H: F64, G: F64, a: F64, b: F64, weights: tuple[float, float], normal: F64, gradient: F64) -> float:
     """Write the normal equations of the nine elements of H, `normal` (9, 9) and `gradient` (9,); return the error.
 
     The error is Σ w₀ |b − π(H a)|² + w₁ |a − π(G b)|² with G = H⁻¹. Of π(M p) = (u, v) and M p = w (u, v, 1), the
-    derivatives by element i, j of H are (B₀ᵢ − u B₂ᵢ) cⱼ and (B₁ᵢ − v B₂ᵢ) cⱼ: for M = H, B is the identity and c = p/w;
-    for M = G, B is −G and c = (u, v, 1), because ∂G/∂Hᵢⱼ = −G Eᵢⱼ G. So the sums over the pairs are of the six products
-    of c's elements, times 1, u, v, and u² + v².
+    derivatives by element i, j of H are (B₀ᵢ − u B₂ᵢ) cⱼ and (B₁ᵢ − v B₂ᵢ) cⱼ. For M = H, B is the identity and c is
+    p/w; for M = G, B is −G and c is (u, v, 1), because ∂G/∂Hᵢⱼ = −G Eᵢⱼ G. So what is summed over the pairs is products
+    of two of c's elements, times 1, u, v, and u² + v².
 
     Args:
         H, G: The homography (3, 3) and its inverse.

@@ -46,8 +46,13 @@ def fuse(point_ids: I32, keyframe: int, camera: Camera, world: Map) -> None:
 
     Of two fused points the one with more observations stays.
     """
+    found, target = _find(world.without(point_ids, world.points_of(keyframe)), keyframe, camera, world)
+    _join(found, world.rows(keyframe).start + target, world)
+
+
+def _find(ids: I32, keyframe: int, camera: Camera, world: Map) -> tuple[I64, I64]:
+    """Return points (M,) of those given (P,) and which of a keyframe's keypoints (M,) each is; see `find_again`."""
     table, points, rows = world.keypoints, world.points, world.rows(keyframe)
-    ids = world.without(point_ids, table.point[rows])
     looks = _Looks(
         points.position_m, points.normal, points.min_distance_m, points.max_distance_m, words(points.descriptors)
     )
@@ -62,7 +67,7 @@ def fuse(point_ids: I32, keyframe: int, camera: Camera, world: Map) -> None:
         world.scales.inverse_variances,
     )
     found, target = find_again(ids, points.is_alive, looks, there, build_grid(there.px), viewer)
-    _join(found, rows.start + target, world)
+    return found, target
 
 
 class _Looks(NamedTuple):
@@ -115,15 +120,14 @@ def find_again(
     Returns:
         Points (M,) and the keypoint (M,) of each, one to one, in the order of `ids`.
     """
-    factors, n_targets = viewer.factors, len(there.px)
+    factors = viewer.factors
     log_factor = np.log(factors[1] / factors[0]) if len(factors) > 1 else 1.0
     T = viewer.T_cam_world
     ox = -(T[0, 0] * T[0, 3] + T[1, 0] * T[1, 3] + T[2, 0] * T[2, 3])
     oy = -(T[0, 1] * T[0, 3] + T[1, 1] * T[1, 3] + T[2, 1] * T[2, 3])
     oz = -(T[0, 2] * T[0, 3] + T[1, 2] * T[1, 3] + T[2, 2] * T[2, 3])
     fx, fy, cx, cy, bf = viewer.intrinsics
-    target, bits, fits = np.full(len(ids), -1, np.int64), np.empty(len(ids), np.int64), np.empty(len(ids), np.bool_)
-    owner = np.full(n_targets, -1, np.int64)
+    target, bits, fits = np.full(len(ids), -1, np.int64), np.empty(len(ids), np.int64), np.zeros(len(ids), np.bool_)
     for i in range(len(ids)):
         p = ids[i]
         if not is_alive[p]:
@@ -146,21 +150,29 @@ def find_again(
             continue
         level = min(max(int(np.ceil(np.log(looks.max_distance_m[p] / distance) / log_factor)), 0), len(factors) - 1)
         expected = (np.float32(u), np.float32(v), np.float32(u - bf / z))
-        at, distance_bits = _nearest(expected, level, np.float32(WINDOW_PX * factors[level]), looks.words, p, there, grid)
+        at, distance_bits = _nearest(
+            expected, level, np.float32(WINDOW_PX * factors[level]), looks.words, p, there, grid
+        )
         if at < 0:
             continue
         target[i], bits[i] = at, distance_bits
         fits[i] = _is_at(expected, at, there, viewer.inverse_variances)
-        if owner[at] < 0 or distance_bits < bits[owner[at]]:
-            owner[at] = i
-    chosen = np.empty(len(ids), np.int64)
-    n = 0
-    for i in range(len(ids)):
-        if target[i] >= 0 and owner[target[i]] == i and fits[i]:
-            chosen[n] = i
-            n += 1
-    chosen = chosen[:n]
+    chosen = np.flatnonzero(_own(target, bits, len(there.px)) & fits)
     return ids[chosen].astype(np.int64), target[chosen]
+
+
+@njit(nogil=True, cache=True)
+def _own(target: I64, bits: I64, n_targets: int) -> Bool:
+    """Return which points (P,) are nearest to their target, of equals the first; a target of −1 is none."""
+    owner = np.full(n_targets, -1, np.int64)
+    for i in range(len(target)):
+        if target[i] >= 0 and (owner[target[i]] < 0 or bits[i] < bits[owner[target[i]]]):
+            owner[target[i]] = i
+    own = np.zeros(len(target), np.bool_)
+    for at in range(n_targets):
+        if owner[at] >= 0:
+            own[owner[at]] = True
+    return own
 
 
 @njit(nogil=True, cache=True)
@@ -208,11 +220,11 @@ def _is_at(expected: tuple[float, float, float], at: int, there: _Keypoints, inv
     if right_px >= 0:
         error2 += (right - right_px) * (right - right_px)
     chi2 = np.float32(error2 * inverse_variances[there.octave[at]])
-    return chi2 <= (_CHI2_3D if right_px >= 0 else _CHI2_2D)
+    return bool(chi2 <= (_CHI2_3D if right_px >= 0 else _CHI2_2D))
 
 
 def _join(ids: I64, rows: I64, world: Map) -> None:
-    """Let rows (M,) of one keyframe observe points (M,), or join these with those that the rows see; each stands once."""
+    """Let rows (M,) of one keyframe observe points (M,), or join these with those that the rows see, each once."""
     other = world.keypoints.point[rows]
     fresh = other < 0
     world.observe(ids[fresh], rows[fresh])

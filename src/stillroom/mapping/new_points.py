@@ -108,7 +108,10 @@ def _locate(first: I64, second: I64, camera: Camera, world: Map) -> tuple[F64, B
     positions_m[rays] = triangulate(
         T_first_world, T_second_world, _rays(first[rays], camera, world), _rays(second[rays], camera, world)
     )
-    for chosen, rows, T_world_cam in ((way == BY_FIRST, first, T_world_first), (way == BY_SECOND, second, T_world_second)):
+    for chosen, rows, T_world_cam in (
+        (way == BY_FIRST, first, T_world_first),
+        (way == BY_SECOND, second, T_world_second),
+    ):
         points_cam = camera.back_project(table.px[rows[chosen]], table.depth_m[rows[chosen]])
         positions_m[chosen] = se3.transform(T_world_cam, points_cam)
     good = np.isfinite(positions_m).all(axis=1) & (way != BY_NOTHING)
@@ -117,7 +120,14 @@ def _locate(first: I64, second: I64, camera: Camera, world: Map) -> tuple[F64, B
     check(positions_m, second, seen, T_second_world, intrinsics, world.scales.inverse_variances, good)
     slack = 1.5 * world.scales.factor
     check_scales(
-        positions_m, table.octave[first], table.octave[second], T_world_first, T_world_second, world.scales.factors, slack, good
+        positions_m,
+        table.octave[first],
+        table.octave[second],
+        T_world_first,
+        T_world_second,
+        world.scales.factors,
+        slack,
+        good,
     )
     return positions_m, good
 

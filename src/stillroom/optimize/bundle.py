@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stillroom.bounds import bounded
-from stillroom.geometry.arrays import F64, Bool, Floats, Ints
+from stillroom.geometry.arrays import F64, I64, Bool, Floats, Ints
 from stillroom.geometry.camera import Camera
 from stillroom.optimize.bundle_kernels import (
     Blocks,
@@ -118,6 +118,7 @@ class _Adjustment:
         slot_of[self.free] = np.arange(len(self.free))
         obs_keyframe = np.asarray(problem.obs_keyframe, dtype=np.int64)
         obs_point = np.asarray(problem.obs_point, dtype=np.int64)
+        self.order: I64
         starts, self.order = sort_observations(obs_point, slot_of[obs_keyframe], n_points)
         keyframes = obs_keyframe[self.order]
         self.sorted = Order(starts, slot_of[keyframes])

@@ -20,8 +20,8 @@ from stillroom.geometry.cloud.cloud_segments import (
     SegmentLimits,
     claim_foregrounds,
     segment,
-    spread_labels,
 )
+from stillroom.geometry.cloud.label_image import spread_labels
 from stillroom.geometry.cloud.planes import PlaneLimits, Planes, find_planes
 from stillroom.protocols import Parts, Pending
 

@@ -26,6 +26,7 @@ from stillroom.dynamics.ants.search import ReverseSearchConfig
 from stillroom.dynamics.asking import Asking
 from stillroom.dynamics.cluster_sieve import ClusterSieveConfig
 from stillroom.dynamics.homography.homography_sieve import CompensatedHomographyConfig
+from stillroom.dynamics.masked_keypoints import MaskedKeypointsConfig
 from stillroom.evaluation.ghost_truth import distances_to_patches_m
 from stillroom.evaluation.ghost_views import DepthView, settled, sightings
 from stillroom.features.places.growth import GrowthConfig, grow, one_word
@@ -203,7 +204,7 @@ def render() -> None:
 
 @dataclass(frozen=True)
 class EverySieveConfig:
-    """All match sieves."""
+    """All sieves that have kernels."""
 
     def build(self, parts: Parts) -> "EverySieve":
         """Return the sieve."""
@@ -219,9 +220,11 @@ class EverySieve:
     def __init__(self, spokesman: MatchSieve, others: list[MatchSieve], world: Map) -> None:
         """Take them."""
         self._spokesman, self._others = Asking(spokesman, world), [Asking(sieve, world) for sieve in others]
+        self._keypoints = MaskedKeypointsConfig().build()
 
     def judge(self, question: Question) -> Motion:
         """Return the result of the chosen sieve."""
+        self._keypoints(question.frame, question.semantics)
         for sieve in self._others:
             sieve.judge(question)
         return self._spokesman.judge(question)

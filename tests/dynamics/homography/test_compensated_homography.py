@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from asked import ask as put
 from building import parts
+from small_world import CAMERA
 
 from stillroom.data.frame import Frame
 from stillroom.data.map import Map
@@ -16,7 +17,7 @@ from stillroom.data.semantics import Semantics, nothing
 from stillroom.datasets.open import open_dataset
 from stillroom.datasets.selection import select
 from stillroom.dynamics.ants.search import PheromoneMapConfig, ReverseSearchConfig
-from stillroom.dynamics.homography.compensation import CompensationConfig, choose_probes
+from stillroom.dynamics.homography.compensation import CompensationConfig, aim, choose_probes
 from stillroom.dynamics.homography.homography_sieve import CompensatedHomographyConfig, CompensatedHomographySieve, fill
 from stillroom.dynamics.homography.past import Past, view_of
 from stillroom.errors import ConfigError
@@ -276,6 +277,32 @@ def test_probes_are_spread_and_those_with_depth_come_first() -> None:
         left = np.setdiff1d(np.flatnonzero((cell == one) & usable), taken)
         assert not (has_depth[left].any() and not has_depth[taken].all())
     assert len(choose_probes(px, has_depth, np.zeros(800, dtype=bool), 150)) == 0
+
+
+def test_probes_are_those_of_plain_sorting() -> None:
+    rng = np.random.default_rng(1)
+    px = rng.uniform((0, 0), (640, 480), (700, 2)).astype(np.float32)
+    for n in (0, 1, 150, 200, 650, 1000):
+        has_depth, usable = rng.random(700) < 0.7, rng.random(700) < 0.8
+        candidates = np.flatnonzero(usable)
+        cell = (px[candidates] // 40).astype(int) @ (1, 1000)
+        order = np.lexsort((~has_depth[candidates], cell))
+        rank = np.arange(len(order)) - np.searchsorted(cell[order], cell[order])
+        expected = np.sort(candidates[order[np.argsort(rank, kind="stable")[:n]]])
+        np.testing.assert_array_equal(choose_probes(px, has_depth, usable, n), expected)
+
+
+def test_probes_are_searched_where_the_guess_moves_them() -> None:
+    rng = np.random.default_rng(2)
+    camera = replace(CAMERA, distortion=(0.1, -0.2, 0.002, -0.003, 0.05))
+    raw_px = rng.uniform((20, 20), (620, 460), (50, 2)).astype(np.float32)
+    px, T = camera.undistort(raw_px), se3.exp(np.array([0.1, -0.05, 0.2, 0.02, -0.03, 0.01]))
+    depth_m = np.where(rng.random(50) < 0.2, 0.0, rng.uniform(1, 4, 50)).astype(np.float32)
+    now_half_px, start_px = np.empty((2, 50, 2), np.float32)
+    aim(px, raw_px, depth_m, 2.5, T, camera.lens, now_half_px, start_px)
+    points = se3.transform(T, camera.back_project(px, np.where(depth_m > 0, depth_m, 2.5)))
+    np.testing.assert_allclose(now_half_px, 0.5 * raw_px - 0.25, atol=1e-4)
+    np.testing.assert_allclose(start_px, 0.5 * camera.distort(camera.project(points)) - 0.25, atol=1e-4)
 
 
 def test_an_unknown_search_is_refused() -> None:

@@ -8,7 +8,16 @@ import pytest
 
 from stillroom.data.image import RgbdImage
 from stillroom.dynamics.homography.past import view_of
-from stillroom.dynamics.homography.patches import ROOM, find_patch
+from stillroom.dynamics.homography.patches import (
+    HALF_PX,
+    ROOM,
+    SIDE_PX,
+    compare,
+    find_patch,
+    moments,
+    read_part,
+    take_patch,
+)
 from stillroom.dynamics.homography.point_motion import DYNAMIC, STATIC, UNKNOWN, PointTest, PointTestConfig
 from stillroom.geometry import homography, se3
 from stillroom.geometry.camera import Camera
@@ -218,3 +227,25 @@ def test_a_patch_is_found_to_a_tenth_of_a_pixel(shift: tuple[float, float]) -> N
             errors.append(np.hypot(*(found - (x, y) - shift)))
     assert len(errors) > 0.7 * len(EVERYWHERE[::5])
     assert np.percentile(errors, 90) < 0.15
+
+
+def test_sums_over_a_patch_are_those_of_plain_interpolation() -> None:
+    now, scratch = texture(4), np.zeros(ROOM, np.float32)
+    row, column = np.mgrid[-5:6, -5:6]
+
+    def around(x: float, y: float) -> np.ndarray:
+        u, v, fx, fy = column + int(x), row + int(y), x % 1.0, y % 1.0
+        pixels = now.astype(np.float64)
+        upper, lower = ((1 - fx) * pixels[v + k, u] + fx * pixels[v + k, u + 1] for k in (0, 1))
+        return (1 - fy) * upper + fy * lower
+
+    wide = around(100.3, 80.6)
+    patch = wide[1:-1, 1:-1]
+    p, g, h = patch - patch.mean(), (wide[1:-1, 2:] - wide[1:-1, :-2]) / 2, (wide[2:, 1:-1] - wide[:-2, 1:-1]) / 2
+    assert take_patch(now, 100.3, 80.6, scratch) == pytest.approx(patch.mean(), rel=1e-5)
+    expected = [np.sum(a) for a in (p * p, g * g, h * h, g * h, p * g, p * h, g, h)]
+    np.testing.assert_allclose(moments(scratch), expected, rtol=1e-4, atol=0.1)
+    t = around(131.8, 77.1)[1:-1, 1:-1] - 40.0
+    read_part(now, 77 - HALF_PX, 131 - HALF_PX, SIDE_PX + 1, scratch[3])
+    expected = [np.sum(a) for a in (t, t * t, t * p, t * g, t * h)]
+    np.testing.assert_allclose(compare(0.8, 0.1, 40.0, scratch), expected, rtol=1e-4, atol=0.5)

@@ -8,7 +8,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from small_world import pose
+from small_world import CAMERA, pose
 from staged_things import HOME, STEP_S, Play, Thing, on, seen, share
 
 from stillroom.data.frame import Frame
@@ -18,8 +18,16 @@ from stillroom.data.result import FrameResult, Tracked
 from stillroom.data.semantics import Semantics
 from stillroom.datasets.open import open_dataset
 from stillroom.datasets.selection import select
-from stillroom.dynamics.segment_sieve import MovedSegments, MovedSegmentsConfig, spread
+from stillroom.dynamics.segment_sieve import (
+    MovedSegments,
+    MovedSegmentsConfig,
+    SegmentPoints,
+    spread,
+    write_keypoints,
+    write_samples,
+)
 from stillroom.errors import ConfigError
+from stillroom.geometry.pixels import values_at
 from stillroom.presets.registry import configure
 from stillroom.system import build
 
@@ -215,6 +223,28 @@ def test_points_are_spread_over_each_segment() -> None:
         places = np.searchsorted(np.flatnonzero(group == which), chosen[group[chosen] == which])
         assert len(set(np.diff(places))) == 1, "evenly"
     assert len(spread(np.zeros(0, np.int64), 24)) == 0
+
+
+def test_points_are_keypoints_on_segments_and_projected_samples() -> None:
+    rng = np.random.default_rng(3)
+    camera = replace(CAMERA, distortion=(0.1, -0.2, 0.002, -0.003, 0.05))
+    labels = rng.integers(-2, 4, (480, 640)).astype(np.int16)
+    raw_px = rng.uniform((-2, -2), (642, 482), (200, 2)).astype(np.float32)
+    px, depth_m = camera.undistort(raw_px), np.where(rng.random(200) < 0.2, 0.0, 2.0).astype(np.float32)
+    sampled_m = rng.uniform((-1, -1, 1), (1, 1, 3), (30, 3))
+    cluster, chosen = rng.integers(0, 4, 30), np.flatnonzero(rng.random(30) < 0.5)
+    points = SegmentPoints(np.empty(300, np.int64), np.empty((300, 2)), np.empty((300, 2)), np.empty(300))
+    n = write_keypoints(raw_px, px, depth_m, labels, points)
+    write_samples(sampled_m, cluster, chosen, camera.lens, n, points)
+    label = values_at(labels, raw_px)
+    on = (label >= 0) & (depth_m > 0)
+    assert n == np.count_nonzero(on) > 50
+    at = camera.project(sampled_m[chosen])
+    n += len(chosen)
+    np.testing.assert_array_equal(points.segment[:n], np.append(label[on], cluster[chosen]))
+    np.testing.assert_allclose(points.raw_px[:n], np.vstack((raw_px[on], camera.distort(at))), rtol=1e-12)
+    np.testing.assert_allclose(points.px[:n], np.vstack((px[on], at)), rtol=1e-12)
+    np.testing.assert_array_equal(points.depth_m[:n], np.append(depth_m[on], sampled_m[chosen, 2]))
 
 
 class Judge:

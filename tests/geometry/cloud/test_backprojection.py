@@ -6,7 +6,7 @@ import pytest
 
 from stillroom.geometry.camera import Camera
 from stillroom.geometry.cloud.backproject import back_project, ray_grid
-from stillroom.geometry.cloud.cloud_segments import spread_labels
+from stillroom.geometry.cloud.label_image import spread_labels
 from stillroom.geometry.cloud.voxels import voxel_filter
 
 CAMERA = Camera(160, 120, 130.0, 131.0, 79.0, 60.5, distortion=(0.05, -0.1, 0.001, -0.001, 0.02))
@@ -59,6 +59,15 @@ def test_voxels_hold_the_means_of_their_points(edge_m: float) -> None:
         np.testing.assert_allclose(voxels.mean_m[k], points[voxels.voxel_of == k].mean(axis=0), atol=1e-12)
 
 
+def test_voxels_of_two_groups_are_apart() -> None:
+    rng = np.random.default_rng(3)
+    points, group = rng.uniform(-1.0, 1.0, (800, 3)), rng.integers(-1, 3, 800).astype(np.int32)
+    voxels = voxel_filter(points, 0.3, group)
+    keys = np.column_stack((np.floor(points / 0.3), group))
+    assert len(voxels) == len(np.unique(keys, axis=0))
+    np.testing.assert_array_equal(voxels.group[voxels.voxel_of], group)
+
+
 def test_no_points_are_no_voxels_and_an_edge_of_zero_is_refused() -> None:
     assert len(voxel_filter(np.zeros((0, 3)), 0.1)) == 0
     with pytest.raises(ValueError, match="voxel"):
@@ -105,3 +114,27 @@ def test_labels_of_bad_depth_are_unknown() -> None:
     labels, _ = spread(depth_m, 4)
     assert (labels[3, 3:9] == -1).all()
     assert (labels == -1).sum() == 6
+
+
+@pytest.mark.parametrize("stride", [1, 3, 4])
+def test_labels_are_those_of_a_plain_loop(stride: int) -> None:
+    rng = np.random.default_rng(stride)
+    tiles = np.kron(rng.choice([0.0, 1.0, 1.03, 1.5, 4.0], (14, 19)), np.ones((7, 6)))
+    depth_m = (tiles[:95, :111] + (tiles[:95, :111] > 0) * rng.uniform(0.0, 0.03, (95, 111))).astype(np.float32)
+    grid = ray_grid(CAMERA, *depth_m.shape, stride)
+    points = back_project(depth_m, grid, 0.2, 6.0)
+    labels = rng.integers(-2, 4, (len(grid.rows) // 5 + 1, len(grid.columns) // 5 + 1)).astype(np.int16)
+    labels = np.kron(labels, np.ones((5, 5), dtype=np.int16))[: len(grid.rows), : len(grid.columns)]
+    labels = np.ascontiguousarray(labels)
+    expected = np.full(depth_m.shape, -1, dtype=np.int16)
+    for r, c in np.ndindex(depth_m.shape):
+        i0 = max(int(np.searchsorted(grid.rows, r, side="right")) - 1, 0)
+        j0 = max(int(np.searchsorted(grid.columns, c, side="right")) - 1, 0)
+        i1, j1 = min(i0 + 1, len(grid.rows) - 1), min(j0 + 1, len(grid.columns) - 1)
+        around = [(i0, j0), (i0, j1), (i1, j0), (i1, j1)]
+        z = np.array([points[at][2] for at in around])
+        away = np.abs(z - depth_m[r, c])
+        if away.min() <= max(np.float32(0.04), np.float32(0.02) * z.max()) and away.min() < depth_m[r, c]:
+            expected[r, c] = labels[around[int(np.argmin(away))]]
+    assert 0.3 < (expected >= 0).mean() < 0.9
+    np.testing.assert_array_equal(spread_labels(labels, points, depth_m, grid, 0.04, 0.02, -1), expected)

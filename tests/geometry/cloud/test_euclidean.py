@@ -7,7 +7,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from stillroom.geometry.arrays import F64, I64
-from stillroom.geometry.cloud.euclidean import depth_scaled, euclidean_clusters
+from stillroom.geometry.cloud.euclidean import depth_scaled, euclidean_clusters, join
 
 
 def by_scipy(points: F64, tolerance: float) -> I64:
@@ -42,6 +42,24 @@ def far_away(rng: np.random.Generator, n: int) -> F64:
 def test_clusters_are_those_of_scipy(cloud, tolerance: float, n: int) -> None:  # type: ignore[no-untyped-def]
     points = cloud(np.random.default_rng(n), n)
     np.testing.assert_array_equal(euclidean_clusters(points, tolerance), by_scipy(points, tolerance))
+
+
+def test_points_of_two_groups_are_never_in_one_cluster() -> None:
+    rng = np.random.default_rng(2)
+    points, group = clumps(rng, 600), rng.integers(-1, 3, 600).astype(np.int32)
+    found = euclidean_clusters(points, 0.05, group)
+    apart = points + 100.0 * group[:, None]
+    np.testing.assert_array_equal(found, by_scipy(apart, 0.05))
+
+
+def test_what_is_joined_before_changes_nothing_where_it_is_near() -> None:
+    points = sheet(np.random.default_rng(3), 400)
+    pairs = cKDTree(points).query_pairs(0.05, output_type="ndarray")
+    joined = np.arange(len(points), dtype=np.int32)
+    for i, j in pairs[::3]:
+        join(joined, i, j)
+    assert (joined != np.arange(len(points))).sum() > 100
+    np.testing.assert_array_equal(euclidean_clusters(points, 0.05, None, joined), by_scipy(points, 0.05))
 
 
 @pytest.mark.parametrize("tolerance", [0.1, 0.3, 1.0 / 3.0, 0.7])

@@ -357,7 +357,9 @@ class Map:
 
     def oldest_observations(self, point_ids: Ints) -> I32:
         """Return the keypoint row (N,) that saw each point (N,) first; −1 for a point that nothing sees."""
-        rows: I32 = links.oldest_rows(np.asarray(point_ids, dtype=np.int32), self.keypoints.next_row, self.points.first_row)
+        rows: I32 = links.oldest_rows(
+            np.asarray(point_ids, dtype=np.int32), self.keypoints.next_row, self.points.first_row
+        )
         return rows
 
     def refresh(self, point_ids: Ints) -> None:

@@ -213,7 +213,7 @@ class VoxelMap:
         keys, inverse = np.unique(block_keys_of(self.key[first_row:]), return_inverse=True)
         numbers = self._block_numbers
         n_before = len(numbers)
-        assigned = [numbers.setdefault(int(key), len(numbers)) for key in keys]
+        assigned = [numbers.setdefault(key, len(numbers)) for key in keys.tolist()]
         self.block[first_row:] = np.array(assigned, dtype=np.int32)[inverse.reshape(-1)]
         if len(numbers) > n_before:
             centres_m = block_centres_m(self.block_keys[n_before:], self.voxel_m)

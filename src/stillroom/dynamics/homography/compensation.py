@@ -151,7 +151,7 @@ def choose_by_cells(
     # The last round is the one in which n is exceeded, and in it cells up to some one have a turn.
     left, last = n, 0
     while left > 0 and last < size.max():
-        in_round = np.count_nonzero(size > last)
+        in_round = int(np.count_nonzero(size > last))
         if in_round > left:
             break
         left -= in_round

@@ -24,8 +24,8 @@ and the same between its columns, and its rows.
 MARGIN_PX = HALF_PX + 2
 MIN_CONTRAST = 4.0
 """Root mean square gradient [gray levels a pixel] that a patch must have in its poorest direction, on average."""
-NOT_SEEN = -1.5
-"""The correlation of a patch without a corner, or outside the image."""
+NOT_SEEN, NO_CORNER = -1.5, -2.0
+"""The correlation of a patch that leaves the other image, and of one without a corner or outside its own image."""
 _ENOUGH_PX = 0.02
 
 
@@ -38,7 +38,7 @@ def in_view(image: U8, x: float, y: float) -> bool:
 
 
 @njit(nogil=True, cache=True)
-def _read(image: U8, top: int, left: int, n_rows: int, part: F32) -> None:
+def read_part(image: U8, top: int, left: int, n_rows: int, part: F32) -> None:
     """Write a part of an image, `_ACROSS` columns wide."""
     for r in range(n_rows):
         line = image[top + r, left : left + _ACROSS]
@@ -52,7 +52,7 @@ def take_patch(image: U8, x: float, y: float, scratch: F32) -> float:
     column, row = int(np.floor(x)), int(np.floor(y))
     fx, fy = np.float32(x - column), np.float32(y - row)
     patch, by_x, by_y, part, along, wide = scratch[0], scratch[1], scratch[2], scratch[3], scratch[4], scratch[5]
-    _read(image, row - HALF_PX - 1, column - HALF_PX - 1, _ACROSS, part)
+    read_part(image, row - HALF_PX - 1, column - HALF_PX - 1, _ACROSS, part)
     for n in range(_ACROSS * _ACROSS - 1):
         along[n] = part[n] + fx * (part[n + 1] - part[n])
     for n in range(_ACROSS * (_ACROSS - 1) - 1):
@@ -132,18 +132,18 @@ def find_patch(
         found: Where the patch is (2,) [px]; filled in.
 
     Returns:
-        Similarity of the patches: their normalised correlation; NOT_SEEN where the patch has no corner or leaves
-        an image.
+        Similarity of the patches: their normalised correlation; NO_CORNER where there is no patch to be found, and
+        NOT_SEEN where it leaves the other image.
     """
     x, y = at
     found[0], found[1] = guess
     if not in_view(now, x, y):
-        return NOT_SEEN
+        return NO_CORNER
     mean = take_patch(now, x, y, scratch)
     variance, xx, yy, xy, px, py, sum_x, sum_y = moments(scratch)
     least = 0.5 * (xx + yy - np.sqrt((xx - yy) * (xx - yy) + 4.0 * xy * xy))
     if not least > MIN_CONTRAST * MIN_CONTRAST * N_PIXELS:
-        return NOT_SEEN  # no corner
+        return NO_CORNER
     determinant = xx * yy - xy * xy
     likeness, column, row = NOT_SEEN, -1, -1
     for _ in range(iterations):
@@ -152,7 +152,7 @@ def find_patch(
         u, v = np.floor(found[0]), np.floor(found[1])
         if int(u) != column or int(v) != row:  # Else the part that was read still holds the patch.
             column, row = int(u), int(v)
-            _read(then, row - HALF_PX, column - HALF_PX, SIDE_PX + 1, scratch[3])
+            read_part(then, row - HALF_PX, column - HALF_PX, SIDE_PX + 1, scratch[3])
         total, squares, product, along_x, along_y = compare(found[0] - u, found[1] - v, mean, scratch)
         other = total / N_PIXELS
         energy = max(0.0, squares - total * other)

@@ -8,7 +8,7 @@ import numpy as np
 
 from stillroom.bounds import bounded
 from stillroom.compiled import njit
-from stillroom.dynamics.homography.patches import NOT_SEEN, ROOM, find_patch
+from stillroom.dynamics.homography.patches import NO_CORNER, NOT_SEEN, ROOM, find_patch
 from stillroom.geometry.arrays import F32, F64, I64, U8, Bool
 from stillroom.geometry.camera import Camera, Lens
 from stillroom.geometry.distortion import distorted
@@ -231,6 +231,8 @@ def locate(images: _Images, raw: F64, guess: F64, limits: _Limits, scratch: F32,
     u, v = half * guess[0] - to_half, half * guess[1] - to_half
     near = find_patch(now_half, (x, y), then_half, (u, v), iterations, scratch, found)
     likeness = near
+    if near == NO_CORNER:
+        return UNKNOWN
     if near < min_likeness:
         u, v = quarter * guess[0] - to_quarter, quarter * guess[1] - to_quarter
         x4, y4 = quarter * raw[0] - to_quarter, quarter * raw[1] - to_quarter

@@ -248,7 +248,7 @@ def _place(here: Here, row: int, column: int) -> tuple[float, float, float]:
     )
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(nogil=True, cache=True, error_model="numpy", inline="always")
 def sees(there: KeyframeDepths, k: int, lens: Lens, place_m: tuple[float, float, float], limits: Limits) -> int:
     """Compare a place [world] with keyframe `k`: AGREES, EMPTY or UNKNOWN.
 
@@ -293,9 +293,10 @@ def grow(seeds: I32, here: Here, there: KeyframeDepths, growth: Growth, limits: 
         region: Where the result is written (h, w): 1 in a region, else 0.
     """
     height, width = here.depth_m.shape
-    across = width + 2  # The image has a border that is in no region, so that no pixel need be asked whether it is there.
-    depth_m, taken = np.zeros((height + 2) * across, dtype=np.float32), np.full((height + 2) * across, OUTSIDE, np.uint8)
-    said, queue = np.full((height + 2) * across, NOT_ASKED, dtype=np.int8), np.empty(height * width, dtype=np.int32)
+    # The image gets a border that is in no region, so that no pixel need be asked whether it is there.
+    across, size = width + 2, (height + 2) * (width + 2)
+    depth_m, taken = np.zeros(size, dtype=np.float32), np.full(size, OUTSIDE, dtype=np.uint8)
+    said, queue = np.full(size, NOT_ASKED, dtype=np.int8), np.empty(height * width, dtype=np.int32)
     for row in range(height):
         start = (row + 1) * across + 1
         depth_m[start : start + width] = here.depth_m[row]

@@ -16,9 +16,7 @@ FORWARD = np.array([(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (
 """Half of a cell's neighbours (13, 3); the other half is covered by symmetry."""
 
 
-def euclidean_clusters(
-    points: Floats, tolerance: float, group: I32 | None = None, joined: I32 | None = None
-) -> I32:
+def euclidean_clusters(points: Floats, tolerance: float, group: I32 | None = None, joined: I32 | None = None) -> I32:
     """Cluster points so that two of them, no further apart than the tolerance, are always in one (OC-SLAM 2.4).
 
     Args:
@@ -84,9 +82,7 @@ def scaled_by_depth(points: F64, tolerance_m: float, tolerance_share: float) -> 
 
 
 @njit(nogil=True, cache=True)
-def union_neighbours(
-    points: F64, cell_of: I32, grid: CellTable, forward: I64, tolerance: float, parent: I32
-) -> None:
+def union_neighbours(points: F64, cell_of: I32, grid: CellTable, forward: I64, tolerance: float, parent: I32) -> None:
     """Join all pairs within the tolerance by union-find, looking in neighbouring cells only.
 
     Args:

@@ -156,7 +156,9 @@ def share_beyond(off: F32, max_off: float) -> float:
 
 
 @njit(nogil=True, cache=True)
-def extent(layers: F32, part_of: I32, part: int, window: tuple[int, int, int, int], steepness: float) -> tuple[float, float]:
+def extent(
+    layers: F32, part_of: I32, part: int, window: tuple[int, int, int, int], steepness: float
+) -> tuple[float, float]:
     """Return the area of a part of a plane [m² for a ray area of 1], and the smaller of its two widths [m].
 
     Args:

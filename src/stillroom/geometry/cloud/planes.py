@@ -107,7 +107,7 @@ def find_planes(points_m: F32, ray_area: float, limits: PlaneLimits) -> Planes:
         on_plane = _samples_on(off, n_known, plane_of, limits)
         area_m2 = _area_if_large(layers, off, on_plane, slope, ray_area, limits)
         if area_m2 is not None:
-            np.putmask(plane_of, on_plane, len(kept))
+            np.putmask(plane_of, on_plane.view(np.bool_), len(kept))
             kept.append((slope, area_m2))
     if kept:
         slopes = np.array([slope for slope, _ in kept])
@@ -175,7 +175,9 @@ def _count(mask: U8, shape: tuple[int, int], size: tuple[int, int]) -> U16:
 def _area_if_large(
     layers: F32, off: F32, on_plane: U8, slope: F64, ray_area: float, limits: PlaneLimits
 ) -> float | None:
-    """Return the area [m²] of a plane's samples (h, w) if they are large enough, in one piece or, of floor and walls, in several.
+    """Return the area [m²] of a plane's samples (h, w), or None where they are too small.
+
+    They must be large enough in one piece or, of floor and walls, in several.
 
     The backs of two people who walk abreast lie on one plane, but not in one piece, and the room is seen behind them.
     Behind floor and walls nothing is seen, and people may leave only pieces of them visible.
@@ -201,7 +203,7 @@ def _area_if_large(
     for piece in (np.argsort(-boxes[1:, cv2.CC_STAT_AREA], kind="stable")[:N_PIECES] + 1).tolist():
         of_piece, width_m = extent(layers, piece_of, piece, tuple(boxes[piece, :4].tolist()), steepness)
         if of_piece * ray_area >= least_m2 and width_m >= least_width_m:
-            return area * ray_area
+            return float(area * ray_area)
     return None
 
 

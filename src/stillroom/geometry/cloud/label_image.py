@@ -59,8 +59,8 @@ def spread_into(
     last_i, last_j = len(rows) - 1, len(columns) - 1
     height, width = image.shape
     block_of = np.zeros(width, dtype=np.int32)  # the sample at the upper left of each pixel
-    for c in range(columns[0], width):
-        block_of[c] = block_of[c - 1] + (c == columns[min(block_of[c - 1] + 1, last_j)]) if c else 0
+    for c in range(columns[0] + 1, width):
+        block_of[c] = block_of[c - 1] + (c == columns[min(block_of[c - 1] + 1, last_j)])
     low, high = np.empty(last_j + 1, dtype=np.float32), np.empty(last_j + 1, dtype=np.float32)
     is_mixed, mixed = np.empty(last_j + 1, dtype=np.uint8), np.empty(width, dtype=np.int32)
     low_at, high_at, label_at = np.empty(width, np.float32), np.empty(width, np.float32), np.empty(width, np.int16)

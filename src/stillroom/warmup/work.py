@@ -33,10 +33,14 @@ from stillroom.features.places.growth import GrowthConfig, grow, one_word
 from stillroom.features.places.vocabulary import match_by_branch
 from stillroom.geometry.arrays import F32, F64, U8
 from stillroom.geometry.camera import Camera
+from stillroom.geometry.pixels import WIDE_PX
 from stillroom.optimize.bundle_kernels import Blocks, Order
 from stillroom.optimize.reduced_system import SparseSystem
 from stillroom.protocols import MatchSieve, Parts
 from stillroom.semantics.depth_clusters import DepthClustersConfig
+from stillroom.semantics.masks.mask_segments import MaskSegments
+from stillroom.semantics.masks.refine import RefineConfig, refined
+from stillroom.semantics.masks.regions import RegionsConfig, as_semantics
 from stillroom.semantics.truth import TrueSemanticsConfig
 from stillroom.system import System, build
 from stillroom.viz.cloud.render import CloudRendererConfig
@@ -51,6 +55,8 @@ ROUND = 0.8
 """Depth of what is round, as a share of its width: it must not count as a plane."""
 RENDERED = ("synthetic:walking,frames=1,cache=off", "synthetic:walking,frames=1,cache=off,noise=off")
 PICTURE_PX = 96, 64
+N_UNKNOWN_ROWS = 100
+"""Rows of each image without depth: points there are triangulated."""
 CORRECTION_M = 0.05
 ANTS = CompensatedHomographyConfig(ants=ReverseSearchConfig(path=PathConfig(kind="ants")))
 """Choices within parts that bring kernels of their own."""
@@ -76,6 +82,7 @@ def images() -> Iterator[RgbdImage]:
         _put(rgb, depth_m, person, (int(PERSON.x_min_px), int(PERSON.y_min_px)), int(PERSON.y_max_px), PERSON_M)
         left_px = 560 - round(index * STEP_M * CAMERA.fx / PILLAR_M)
         _put(rgb, depth_m, pillar, (left_px, 60), 440, PILLAR_M)
+        depth_m[:N_UNKNOWN_ROWS] = 0.0
         yield RgbdImage(index / 10.0, rgb, depth_m, index, truth=truth)
 
 
@@ -108,6 +115,7 @@ def _texture(seed: int, height: int, width: int) -> U8:
 def do_everything() -> None:
     """Track the synthetic scene with all parts, and run all operations on its maps."""
     system = track()
+    segment()
     recognise(system)
     reduce_sparsely()
     cloud = correct(system)
@@ -130,6 +138,16 @@ def track() -> System:
         system.process(image)
     system.close()
     return system
+
+
+def segment() -> None:
+    """Mend a mask by depth, and dilate it."""
+    depth_m = np.full((CAMERA.height // 2, CAMERA.width // 2), WALL_M, dtype=np.float32)
+    label = np.zeros(depth_m.shape, dtype=np.uint8)
+    label[60:200, 130:190] = 1
+    depth_m[60:200, 134:194] = PERSON_M
+    segments = refined(MaskSegments(label, label.astype(np.float32)), depth_m, RefineConfig())
+    as_semantics(segments, ("person",), CAMERA.height, CAMERA.width, 0, RegionsConfig(dilate_px=WIDE_PX))
 
 
 def recognise(system: System) -> None:

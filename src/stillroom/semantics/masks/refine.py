@@ -57,7 +57,7 @@ def refined(segments: MaskSegments, depth_m: F32, config: RefineConfig) -> MaskS
         return segments
     band_px, window_px = max(config.band_px // 2, 1), max(config.window_px // 2, 3)
     around = _surroundings(segments.label, band_px + window_px)
-    label, depth_m = segments.label[around], depth_m[around]
+    label, depth_m = segments.label[around], np.ascontiguousarray(depth_m[around])
     mask = label > 0
     known = depth_m > 0
     inner = ~grown(~mask, band_px, Shape.ELLIPSE)

@@ -92,7 +92,7 @@ def _boxes(segments: MaskSegments, names: tuple[str, ...], height: int, width: i
         around, region, statistics = _regions(of_class)
         area = statistics[:, cv2.CC_STAT_AREA]
         sums = np.zeros(len(area), dtype=np.float64)
-        add_up(region, segments.probability[around], sums)
+        add_up(region, np.ascontiguousarray(segments.probability[around]), sums)
         for k in range(1, len(area)):
             x, y, columns, rows = statistics[k, :4].tolist()
             x, y = x + around[1].start, y + around[0].start

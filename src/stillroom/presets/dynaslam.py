@@ -1,9 +1,10 @@
 """DynaSLAM N+G: a network's masks, and multi-view geometry for what no class names.
 
 Differs from the paper: the masks are the PSPNet's of `pspnet-slam`, by class and not by instance. Mask R-CNN takes
-seconds an image on a CPU; any network in an ONNX file can be set instead (`semantics.kind = "onnx-masks"`). The
-thresholds of the geometry are our own; the paper's and its code's are `--set dynamics.kind=multiview-paper` and
-`multiview-code`. What moves is inpainted by `stillroom inpaint --method dynaslam`.
+seconds an image on a CPU; any network in an ONNX file can be set instead (`semantics.kind = "onnx-masks"`). The network
+sees every second image; flow and depth carry its masks to the others. The thresholds of the geometry are our own; the
+paper's and its code's are `--set dynamics.kind=multiview-paper` and `multiview-code`. What moves is inpainted by
+`stillroom inpaint --method dynaslam`.
 """
 
 from stillroom.config import SlamConfig
@@ -25,7 +26,7 @@ METHOD = Method(
     summary="a network's masks, and multi-view geometry with region growing for other dynamic objects",
     config=SlamConfig(
         method="dynaslam",
-        semantics=PspNetConfig(input="320x240", regions=RegionsConfig(dilate_px=DILATE_PX)),
+        semantics=PspNetConfig(input="320x240", every=2, regions=RegionsConfig(dilate_px=DILATE_PX)),
         keypoints=MaskedKeypointsConfig(),
         low_cost=LowCostConfig(),
         dynamics=MultiViewConfig(),

@@ -3,7 +3,8 @@
 Differs from the paper: a homography alone cannot explain a room with depth, so the camera's motion in space, which
 depth gives, may explain a point as well (`dynamics/homography/homography_sieve.py`). The paper's literal rule is
 `--set dynamics.first.test.use_depth=false --set dynamics.first.earlier_s=0`. What is not movable by its class is
-dynamic when its segment moves against the scene; the paper says no more than that (`dynamics/segment_sieve.py`).
+dynamic when its segment moves against the scene; the paper says no more than that (`dynamics/segment_sieve.py`). The
+network sees every second image; flow and depth carry its masks to the others (the paper's sees keyframes only).
 """
 
 from stillroom.config import SlamConfig
@@ -22,7 +23,7 @@ METHOD = Method(
     summary="PSPNet's masks; what a compensated homography, along an ant path, does not explain; segments that move",
     config=SlamConfig(
         method="pspnet-slam",
-        semantics=PspNetConfig(input="320x240", named=("chair", "tvmonitor", "bottle")),
+        semantics=PspNetConfig(input="320x240", every=2, named=("chair", "tvmonitor", "bottle")),
         clusters=DepthClustersConfig(leave_out_masked=True),
         keypoints=MaskedKeypointsConfig(),
         low_cost=LowCostConfig(),

@@ -30,6 +30,7 @@ MARGIN_PX = 48  # around the box, so that flow may leave it; more than a person 
 CENTRAL_SHARE = 0.5  # central part of a box, in which its depth is measured
 CENTRAL_QUANTILE = 0.35  # an object in a box is nearer than its background
 DEPTH_STEP_PX = 4  # stride of the pixels that count for the support of a depth
+SOON_S = 0.05  # a person who is not seen at once walks six centimetres in it
 ENTRY_SHARE = 0.025  # of the image's width: a box that comes so near to the border touches it
 
 
@@ -172,7 +173,8 @@ class CarryConfig:
 
     Attributes:
         enabled: Whether boxes are propagated; if not, each image is independent, and the detector sees each.
-        every: Stride in images at which the detector runs; in those between, boxes move on at their velocity.
+        every: Stride in images at which the detector runs; in those between, a box reaches from where it was to where
+            its velocity leads. An image that is more than 50 ms later than the detector's last is seen anyway.
         max_carried: Largest number of frames over which a box is propagated.
         continue_confidence: Confidence of a detection that continues a track; the detector's full one starts it.
         enter_confidence: Confidence that starts a track where a box touches the left or right border.
@@ -228,8 +230,15 @@ class _Track:
         self.edges = edges
 
     def as_box(self, width: int, height: int, grow: float = 0.0, later: int = 0) -> Box:
-        """Return the part in the image, enlarged on each side by a share of its width, predicted `later` frames on."""
-        edges = self.predicted(later)
+        """Return the part in the image, enlarged on each side by a share of its width.
+
+        Args:
+            width, height: Of the image [px].
+            grow: The share.
+            later: Frames since the box was known; it then reaches from where it was to where it is predicted.
+        """
+        ahead = self.predicted(later)
+        edges = np.concatenate((np.minimum(self.edges, ahead)[:2], np.maximum(self.edges, ahead)[2:]))
         more_px = grow * (edges[2] - edges[0])
         x0, y0 = np.clip(edges[:2] - more_px, 0.0, (width - 1, height - 1)).tolist()
         x1, y1 = np.clip(edges[2:] + more_px, 0.0, (width - 1, height - 1)).tolist()
@@ -263,8 +272,7 @@ class CarriedBoxes:
     def __call__(self, image: RgbdImage) -> Semantics:
         """Return the boxes of this image, detected and propagated."""
         frames = self._frames_since(image)
-        self._n_since = 0 if self._before is None else (self._n_since + 1) % self._config.every
-        if self._n_since:
+        if self._is_between(image):
             return self._reported(image, frames)
         found = self.detector.detect(image)
         strong = [box for box in found if self._is_strong(box, image.width)]
@@ -276,6 +284,12 @@ class CarriedBoxes:
         self._tracks = seen + self._uncovered(carried, seen)
         self._before = image
         return self._reported(image, 0)
+
+    def _is_between(self, image: RgbdImage) -> bool:
+        """Return whether the detector need not see an image; count the images that it did not."""
+        is_soon = self._before is not None and image.timestamp_s - self._before.timestamp_s <= SOON_S
+        self._n_since = (self._n_since + 1) % self._config.every if is_soon else 0
+        return self._n_since > 0
 
     def _reported(self, image: RgbdImage, later: int) -> Semantics:
         """Return the boxes in an image, `later` frames after the detector last ran."""

@@ -237,7 +237,7 @@ class CarvingConfig:
     lowest: int = bounded(-6, most=0)
     highest: int = bounded(6, least=1)
     n_asked: int = bounded(8, least=1)
-    every: int = bounded(4, least=1)
+    every: int = bounded(8, least=1)
 
 
 class Carver:

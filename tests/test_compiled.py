@@ -37,8 +37,8 @@ runpy.run_path(sys.argv[1])
 """The folder as somebody finds it who may not write there, whoever runs this test: root may write everywhere."""
 PROJECT_KERNEL = """
 import numpy as np
-from stillroom.features.matching import _sort_into_cells as kernel
-kernel(np.zeros((3, 2), np.float32), np.zeros(2, np.float32), np.array([4, 4], np.int32))
+from stillroom.geometry.pixels import grow_runs as kernel
+kernel(np.eye(4, dtype=np.uint8), np.array([0, 1, 0]), np.zeros((4, 4), np.uint8))
 print(sum(kernel.stats.cache_hits.values()), sum(kernel.stats.cache_misses.values()), kernel.stats.cache_path)
 """
 

@@ -292,17 +292,19 @@ def test_probes_are_those_of_plain_sorting() -> None:
         np.testing.assert_array_equal(choose_probes(px, has_depth, usable, n), expected)
 
 
-def test_probes_are_searched_where_the_guess_moves_them() -> None:
+@pytest.mark.parametrize("times", [2, 6])
+def test_probes_are_searched_where_the_guess_moves_them(times: int) -> None:
     rng = np.random.default_rng(2)
     camera = replace(CAMERA, distortion=(0.1, -0.2, 0.002, -0.003, 0.05))
     raw_px = rng.uniform((20, 20), (620, 460), (50, 2)).astype(np.float32)
     px, T = camera.undistort(raw_px), se3.exp(np.array([0.1, -0.05, 0.2, 0.02, -0.03, 0.01]))
     depth_m = np.where(rng.random(50) < 0.2, 0.0, rng.uniform(1, 4, 50)).astype(np.float32)
     now_half_px, start_px = np.empty((2, 50, 2), np.float32)
-    aim(px, raw_px, depth_m, 2.5, T, camera.lens, now_half_px, start_px)
+    aim(px, raw_px, depth_m, 2.5, T, camera.lens, times, now_half_px, start_px)
     points = se3.transform(T, camera.back_project(px, np.where(depth_m > 0, depth_m, 2.5)))
-    np.testing.assert_allclose(now_half_px, 0.5 * raw_px - 0.25, atol=1e-4)
-    np.testing.assert_allclose(start_px, 0.5 * camera.distort(camera.project(points)) - 0.25, atol=1e-4)
+    start_raw_px = camera.distort(camera.project(points))
+    np.testing.assert_allclose(now_half_px, (raw_px + 0.5) / times - 0.5, atol=1e-4)
+    np.testing.assert_allclose(start_px, (start_raw_px + 0.5) / times - 0.5, atol=1e-4)
 
 
 def test_an_unknown_search_is_refused() -> None:

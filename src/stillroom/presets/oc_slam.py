@@ -3,15 +3,13 @@
 Differs from the paper: epipolar lines are taken from the tracked pose and helped by depth, what lies in a box is
 dynamic until shown to be static (`dynamics/epipolar_sieve.py`), and a cluster is judged by depth as well as by its
 matches, over more than one image (`dynamics/cluster_sieve.py`). The paper's literal rule is `--set
-dynamics.kind=paper-epipolar`; boxes without clusters are `--set clusters.kind=nothing`. The detector sees every second
-image of a camera of 30 Hz (`semantics.carry.every`), for it costs more than any other stage.
+dynamics.kind=paper-epipolar`; boxes without clusters are `--set clusters.kind=nothing`.
 """
 
 from stillroom.config import SlamConfig
 from stillroom.dense.dense_mapper import DenseMapperConfig
 from stillroom.dynamics.cluster_sieve import ClusterSieveConfig
 from stillroom.presets.method import Method
-from stillroom.semantics.carried_boxes import CarryConfig
 from stillroom.semantics.depth_clusters import DepthClustersConfig
 from stillroom.semantics.yolo_fastest import YoloFastestConfig
 
@@ -20,7 +18,7 @@ METHOD = Method(
     summary="YOLO-Fastest boxes and depth clusters; off its epipolar line, or in former free space: rejected",
     config=SlamConfig(
         method="oc-slam",
-        semantics=YoloFastestConfig(carry=CarryConfig(every=2)),
+        semantics=YoloFastestConfig(),
         clusters=DepthClustersConfig(),
         dynamics=ClusterSieveConfig(),
         dense=DenseMapperConfig(),

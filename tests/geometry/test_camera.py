@@ -122,3 +122,17 @@ def test_a_lens_holds_floats_in_opencvs_order_whatever_the_camera_was_given() ->
     lens = Camera(640, 480, 500, 510, 320, 240, (1, 2, 3, 4, 5)).lens
     assert lens == (500.0, 510.0, 320.0, 240.0, 1.0, 2.0, 3.0, 4.0, 5.0)
     assert all(type(value) is float for value in lens), "kernels would be compiled once more for whole numbers"
+
+
+def test_a_turned_image_has_the_calibration_that_troubleshooting_gives() -> None:
+    """A quarter turn counter-clockwise, as `np.rot90` makes it: row `distortion` of docs/troubleshooting.md."""
+    k1, k2, p1, p2, k3 = 0.26, -0.95, -0.005, 0.0026, 1.16
+    upright = Camera(640, 480, 517.3, 516.5, 318.6, 255.3, distortion=(k1, k2, p1, p2, k3))
+    turned = Camera(480, 640, 516.5, 517.3, 255.3, 639.0 - 318.6, distortion=(k1, k2, -p2, p1, k3))
+    points = np.random.default_rng(0).uniform((-0.9, -0.7, 2.0), (0.9, 0.7, 4.0), (200, 3))
+    seen_px = upright.distort(upright.project(points))
+    points_turned = np.column_stack((points[:, 1], -points[:, 0], points[:, 2]))
+    expected_px = np.column_stack((seen_px[:, 1], 639.0 - seen_px[:, 0]))
+    np.testing.assert_allclose(turned.distort(turned.project(points_turned)), expected_px, atol=1e-9)
+    unturned = dataclasses.replace(turned, distortion=upright.distortion)
+    assert np.abs(unturned.distort(unturned.project(points_turned)) - expected_px).max() > 1.0

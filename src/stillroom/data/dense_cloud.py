@@ -111,7 +111,7 @@ def load_cloud(path: Path) -> DenseCloud:
         AttributeError,
         zipfile.BadZipFile,
         zlib.error,
-        NotImplementedError,  # zipfile, of a version or compression that it does not know
+        RuntimeError,  # zipfile, of what is encrypted, or of a version or compression that it does not know
     ) as error:
         raise MapError(f"{path}: damaged, or not a dense cloud; run again to make a new one") from error
     _check(path, arrays, voxel_m)

@@ -201,7 +201,7 @@ def load_vocabulary(path: Path | None = None) -> Vocabulary:
         EOFError,
         zipfile.BadZipFile,
         zlib.error,
-        NotImplementedError,  # zipfile, of a version or compression that it does not know
+        RuntimeError,  # zipfile, of what is encrypted, or of a version or compression that it does not know
     ) as error:
         raise VocabularyError(
             f"{place}: not a vocabulary of stillroom ({error}); make one with `stillroom train-vocabulary`"

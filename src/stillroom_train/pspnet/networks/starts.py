@@ -1,6 +1,8 @@
 """Weights to start from: a trained backbone, a trained head, OpenMMLab's checkpoint."""
 
 import pickle
+import zipfile
+import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -25,7 +27,7 @@ def backbone_weights(path: Path, network: Architecture) -> dict[str, F32]:
     try:
         with np.load(path, allow_pickle=False) as stored:
             found = {name: np.asarray(stored[name], dtype=np.float32) for name in stored.files}
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error) as error:
         raise WeightsError(f"{path}: cannot be read as the weights of a backbone ({error})") from error
     wanted = {name: shape for name, shape in network.shapes().items() if name.startswith("backbone.")}
     return _fitting(found, wanted, path)

@@ -1,4 +1,4 @@
-"""Write `signatures.json` anew: warm up from nothing, in a cache of its own, and list what was compiled."""
+"""Rewrite `signatures.json`: warm up from nothing, in a cache of its own, and list what was compiled."""
 
 import sys
 import tempfile

@@ -1,7 +1,7 @@
 """The kernels and types that a warm-up is known to need, `signatures.json`: what is known, several processes compile.
 
 The list is a hint. What it lacks is compiled by the warm-up's own run, and what no longer fits is left out, so that one
-that is out of date costs time and nothing else. `python -m stillroom.warmup` writes it anew, in a few minutes.
+that is out of date costs time and nothing else. `python -m stillroom.warmup` rewrites it, in a few minutes.
 """
 
 import importlib

@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 from small_world import CAMERA, SmallMap, SmallWorld, pose
 
-from stillroom.features.projection import Window, keyframe_targets, search_around
-from stillroom.geometry import se3
-from stillroom.mapping.fusing import _find, fuse, fuse_neighbourhood, neighbourhood
+from stillroom.mapping.fusing import fuse, fuse_neighbourhood, neighbourhood
 
 SECOND = pose(0.15, 0.02, 0.1, (0.01, -0.02, 0.02))
 N_KNOWN = 80
@@ -186,24 +184,3 @@ def test_a_keyframe_without_neighbours_is_left_as_it_is() -> None:
     before = small.map.points_of(0).copy()
     fuse_neighbourhood(0, CAMERA, small.map)
     np.testing.assert_array_equal(small.map.points_of(0), before)
-
-
-@pytest.mark.parametrize("look", [{}, {"noise_px": 1.5, "flips": 20}, {"depth_share": 0.5, "noise_px": 1.0}])
-def test_points_are_found_as_the_search_around_projections_finds_them(look: dict[str, float]) -> None:
-    small, first_ids = with_duplicates(**look)
-    world, table = small.map, small.map.keypoints
-    ids = first_ids[first_ids >= 0]
-    world.remove_points(ids[::9])
-    found, target = _find(ids, 1, CAMERA, world)
-    ids = ids[world.points.is_alive[ids]]
-    window = Window(3.0, levels_above=0, max_bits=50)
-    T_cam_world = se3.inverse(world.keyframes.T_world_cam[1])
-    seen = search_around(ids, T_cam_world, CAMERA, world, keyframe_targets(1, world), window)
-    rows = world.rows(1).start + seen.target
-    error2 = ((seen.px - table.px[rows]) ** 2).sum(axis=1)
-    has_right = table.right_px[rows] >= 0
-    error2 += np.where(has_right, (seen.right_px - table.right_px[rows]) ** 2, 0)
-    fits = error2 * world.scales.inverse_variances[table.octave[rows]] <= np.where(has_right, 7.8, 5.99)
-    np.testing.assert_array_equal(found, seen.point_ids[fits])
-    np.testing.assert_array_equal(target, seen.target[fits])
-    assert len(found) > 50

@@ -10,7 +10,7 @@ from stillroom.data.frame import Frame
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F32, F64, I16, I64, U8, Bool
 from stillroom.geometry.camera import Camera, Lens
-from stillroom.geometry.distortion import distorted
+from stillroom.geometry.distortion import seen_at
 from stillroom.geometry.pixels import Shape, grown
 
 STEP_PX = 8
@@ -67,7 +67,7 @@ class Sampler:
         return ClusterSamples(*points_on(clusters.labels, frame.image.depth_m, self._rays, step_px))
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def points_on(labels: I16, depth_m: F32, rays: F64, step_px: int) -> tuple[I64, F64]:
     """Return the cluster (S,) and the point (S, 3) [m] of each known pixel of a cluster on the grid of rays.
 
@@ -176,13 +176,9 @@ def inherit(
         total: Sums, written to.
     """
     for i in range(len(points_m)):
-        X, Y, Z = points_m[i, 0], points_m[i, 1], points_m[i, 2]
-        z = T[2, 0] * X + T[2, 1] * Y + T[2, 2] * Z + T[2, 3]
-        if z <= 0.1:
+        u, v, z = seen_at(T, lens, points_m[i, 0], points_m[i, 1], points_m[i, 2])
+        if not z > 0.1:
             continue
-        x = (T[0, 0] * X + T[0, 1] * Y + T[0, 2] * Z + T[0, 3]) / z
-        y = (T[1, 0] * X + T[1, 1] * Y + T[1, 2] * Z + T[1, 3]) / z
-        u, v = distorted(lens, x, y)
         column, row = np.rint(u / step_px), np.rint(v / step_px)
         if column >= 0.0 and row >= 0.0 and column < belief.shape[1] and row < belief.shape[0]:
             at = int(row), int(column)

@@ -12,7 +12,7 @@ from stillroom.data.frame import Frame
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F32, F64, I64
 from stillroom.geometry.camera import Camera, Lens
-from stillroom.geometry.distortion import distorted
+from stillroom.geometry.distortion import seen_at
 
 STRIDE = 4
 """Stride of the stored depth images [px]."""
@@ -172,14 +172,8 @@ def ask(
     depth_m, T, lens, stride = view
     last_row, last_column = depth_m.shape[0] - 1, depth_m.shape[1] - 1
     for i in range(len(points_world_m)):
-        X, Y, Z = points_world_m[i, 0], points_world_m[i, 1], points_world_m[i, 2]
-        z = T[2, 0] * X + T[2, 1] * Y + T[2, 2] * Z + T[2, 3]
-        if z <= 0.1:
-            continue
-        x = (T[0, 0] * X + T[0, 1] * Y + T[0, 2] * Z + T[0, 3]) / z
-        y = (T[1, 0] * X + T[1, 1] * Y + T[1, 2] * Z + T[1, 3]) / z
-        u, v = distorted(lens, x, y)
-        if not (u >= stride and v >= stride and u < stride * 10000 and v < stride * 10000):
+        u, v, z = seen_at(T, lens, points_world_m[i, 0], points_world_m[i, 1], points_world_m[i, 2])
+        if not (z > 0.1 and u >= stride and v >= stride and u < stride * 10000 and v < stride * 10000):
             continue
         column, row = int(u / stride + 0.5), int(v / stride + 0.5)
         if row >= last_row or column >= last_column:
@@ -219,14 +213,8 @@ def ask_ranges(
     nearest, farthest = around
     last_row, last_column = depth_m.shape[0] - 1, depth_m.shape[1] - 1
     for i in range(len(points_world_m)):
-        X, Y, Z = points_world_m[i, 0], points_world_m[i, 1], points_world_m[i, 2]
-        z = T[2, 0] * X + T[2, 1] * Y + T[2, 2] * Z + T[2, 3]
-        if z <= 0.1:
-            continue
-        x = (T[0, 0] * X + T[0, 1] * Y + T[0, 2] * Z + T[0, 3]) / z
-        y = (T[1, 0] * X + T[1, 1] * Y + T[1, 2] * Z + T[1, 3]) / z
-        u, v = distorted(lens, x, y)
-        if not (u >= stride and v >= stride and u < stride * 10000 and v < stride * 10000):
+        u, v, z = seen_at(T, lens, points_world_m[i, 0], points_world_m[i, 1], points_world_m[i, 2])
+        if not (z > 0.1 and u >= stride and v >= stride and u < stride * 10000 and v < stride * 10000):
             continue
         column, row = int(u / stride + 0.5), int(v / stride + 0.5)
         if row >= last_row or column >= last_column:

@@ -7,6 +7,7 @@
     ├── CalibrationError       a camera that is unknown, incomplete or impossible
     ├── DatasetError           a sequence that cannot be opened
     │   └── FrameError         one frame of it that cannot be read; a run continues without it
+    ├── CameraError            a live camera that does not start, or has gone
     ├── TrajectoryError        a trajectory or ground truth that cannot be read or compared
     ├── MapError               a map that cannot be read, written or exported
     ├── WeightsError           a network's weights that are absent or not what they claim to be
@@ -58,6 +59,10 @@ class DatasetError(StillroomError):
 
 class FrameError(DatasetError):
     """One frame of a sequence cannot be read; the others may be fine."""
+
+
+class CameraError(StillroomError):
+    """A live camera does not start, or has gone."""
 
 
 class TrajectoryError(StillroomError):

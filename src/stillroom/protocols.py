@@ -4,6 +4,7 @@
 socket               question it answers                                          package
 ===================  ===========================================================  =======================
 `Dataset`            what did the camera see, and when?                           `datasets`
+`CameraStream`       what does the camera see now?                                `cameras`
 `Segmenter`          what is potentially dynamic in this image?                   `semantics`
 `Clusterer`          which clusters has the depth cloud of this image?            `semantics`
 `KeypointSieve`      which keypoints may tracking use? (sieve 1)                  `dynamics`
@@ -23,7 +24,8 @@ inherits from them. `stillroom.testing` holds the contract of each.
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import ParamSpec, Protocol, TypeVar, runtime_checkable
+from types import TracebackType
+from typing import ParamSpec, Protocol, Self, TypeVar, runtime_checkable
 
 from stillroom.data.dense_cloud import DenseCloud
 from stillroom.data.frame import Frame
@@ -99,6 +101,50 @@ class Dataset(Protocol):
         Raises:
             IndexError: There is no such image; −1 is none either.
             FrameError: This one image cannot be used; the run continues without it.
+        """
+
+
+class CameraStream(Protocol):
+    """A camera that delivers images while it takes them; entered before the first image, and left after the last."""
+
+    @property
+    def name(self) -> str:
+        """Short name, used for the results folder."""
+
+    @property
+    def camera(self) -> Camera:
+        """The calibration of its images, once the stream is entered."""
+
+    @property
+    def camera_source(self) -> str:
+        """One line that says where the calibration comes from."""
+
+    @property
+    def groundtruth(self) -> Trajectory | None:
+        """True poses, where there are any, as in a recording that is played; see `Dataset.groundtruth`."""
+
+    @property
+    def groundtruth_at_camera(self) -> Trajectory | None:
+        """The same moved to the camera; see `Dataset.groundtruth_at_camera`."""
+
+    def __enter__(self) -> Self:
+        """Start the camera.
+
+        Raises:
+            CameraError: There is none, or it does not start.
+        """
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        """Stop the camera; no thread of it is left."""
+
+    def next(self) -> RgbdImage | None:
+        """Wait for the next image; None after the last one. `RgbdImage.index` counts the images that were taken.
+
+        Raises:
+            FrameError: This one image cannot be used; the next one may.
+            CameraError: The camera is gone, or has sent nothing for too long.
         """
 
 

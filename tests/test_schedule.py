@@ -33,4 +33,8 @@ def test_what_the_work_raises_reaches_the_caller() -> None:
 
 
 def test_keywords_of_the_work_may_be_called_anything() -> None:
-    assert InOrder().submit(Worker.MAPPING, dict, work=1, self=2, worker=3).result() == {"work": 1, "self": 2, "worker": 3}
+    assert InOrder().submit(Worker.MAPPING, dict, work=1, self=2, worker=3).result() == {
+        "work": 1,
+        "self": 2,
+        "worker": 3,
+    }

@@ -128,6 +128,10 @@ class CameraStream(Protocol):
     def groundtruth_at_camera(self) -> Trajectory | None:
         """The same moved to the camera; see `Dataset.groundtruth_at_camera`."""
 
+    @property
+    def comes_in_time(self) -> bool:
+        """Whether `next` waits until an image is taken; a recording that is played has its images at once."""
+
     def __enter__(self) -> Self:
         """Start the camera.
 

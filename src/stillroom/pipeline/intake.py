@@ -46,6 +46,10 @@ class Intake(Protocol):
     def is_reversed(self) -> bool:
         """Whether a recording is played backwards."""
 
+    @property
+    def comes_in_time(self) -> bool:
+        """Whether images come at their own times, as from a camera."""
+
     def arrivals(self) -> Iterator[Arrival]:
         """Yield the images as they come; that of a recording is read when its `load` is called.
 
@@ -76,6 +80,11 @@ class Recorded:
         """Whether they are played backwards."""
         return self.origin.is_reversed
 
+    @property
+    def comes_in_time(self) -> bool:
+        """Return that they do not: all are there."""
+        return False
+
     def arrivals(self) -> Iterator[Arrival]:
         """Yield the images, none read yet."""
         dataset = self.origin
@@ -104,6 +113,11 @@ class Streamed:
     origin: CameraStream
     n_images: None = None
     is_reversed: bool = False
+
+    @property
+    def comes_in_time(self) -> bool:
+        """Whether they do."""
+        return self.origin.comes_in_time
 
     def arrivals(self) -> Iterator[Arrival]:
         """Wait for one image after the other.

@@ -18,6 +18,7 @@ class LiveFigures:
         speed: Seconds of a recording that were played in one; 0 for one image after the other.
         schedule: The schedule, whose workers' loads are known when it is closed.
         dropped: Images that were due while tracking was late.
+        has_segmenter: Whether the method has a detector or a network.
         delays_s: From when each tracked image was due until its pose was known [s].
         wall_s: From the first image until every queue was empty [s].
         online: Figures of the poses as they were known at once; None without ground truth.
@@ -26,6 +27,7 @@ class LiveFigures:
     speed: float
     schedule: LiveSchedule
     dropped: list[Arrival]
+    has_segmenter: bool
     delays_s: list[float] = field(default_factory=list)
     wall_s: float = 0.0
     online: Evaluation | None = None
@@ -40,8 +42,8 @@ class LiveFigures:
 
     @property
     def n_seen(self) -> int:
-        """Images that the detector or the network saw."""
-        loads = self.schedule.loads
+        """Images that the detector or the network saw; 0 where the method has none."""
+        loads = self.schedule.loads if self.has_segmenter else {}
         worker = Worker.NETWORK if Worker.NETWORK in loads else Worker.SEMANTICS
         return loads[worker].n_done if worker in loads else 0
 
@@ -87,4 +89,5 @@ class LiveFigures:
         if self.online is not None:
             text += f"; ATE of the poses as known at once {self.online.as_given.ate_se3_m.rmse:.4f} m"
         busy = ", ".join(f"{worker.value} {100 * share:.0f} %" for worker, share in self.shares().items())
-        return [text, f"workers busy: {busy}; {self.n_seen} images seen by the network"]
+        seen = f"; {self.n_seen} images seen by the network" if self.has_segmenter else ""
+        return [text, f"workers busy: {busy}{seen}"]

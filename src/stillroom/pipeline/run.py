@@ -28,6 +28,7 @@ from stillroom.protocols import Dataset, RunObserver, Segmenter
 from stillroom.schedule import LiveSchedule
 from stillroom.semantics.detector import withhold
 from stillroom.semantics.mask_files import MaskFilesConfig
+from stillroom.semantics.no_segmenter import NothingConfig
 from stillroom.session.map_file import MapUse
 from stillroom.session.plausibility import doubts_of_figures
 from stillroom.session.slam import Slam
@@ -171,7 +172,8 @@ def _playback(intake: Intake, slam: Slam, outcome: RunOutcome, options: RunOptio
     if not isinstance(options.schedule, LiveSchedule):
         return InTurn(intake, slam.clock)
     paced = Paced(intake, slam.clock, options.speed)
-    outcome.live = LiveFigures(options.speed, options.schedule, paced.dropped)
+    has_segmenter = not isinstance(slam.config.semantics, NothingConfig)
+    outcome.live = LiveFigures(options.speed, options.schedule, paced.dropped, has_segmenter)
     return paced
 
 

@@ -150,6 +150,14 @@ def test_no_dense_mapping_begins_while_clusters_are_awaited() -> None:
     assert whats.index((Worker.CLUSTERS, "ends")) < whats.index((Worker.DENSE, "begins"))
 
 
+def test_once_closed_work_runs_at_once() -> None:
+    schedule = LiveSchedule()
+    schedule.submit(Worker.DENSE, threading.get_ident)
+    soon(schedule.close)
+    assert schedule.submit(Worker.DENSE, threading.get_ident).result() == threading.get_ident()
+    assert workers() == []
+
+
 def test_schedules_by_name() -> None:
     assert isinstance(schedule_of("in-order"), InOrder)
     assert isinstance(schedule_of("live"), LiveSchedule)

@@ -153,7 +153,7 @@ class LiveSchedule:
     """Every worker on a thread of its own, with a bounded queue; work of one worker keeps its order.
 
     An exception of work whose result nobody asks for reaches the caller at the next `submit`, `offer` or `close`; what
-    is pending then is dropped.
+    is pending then is dropped. Closed, it runs work at once.
 
     Attributes:
         loads: What each worker did, of those that had any work.
@@ -172,15 +172,20 @@ class LiveSchedule:
         self._pending: dict[Worker, int] = {}
         self._failure: BaseException | None = None
         self._is_heard = False
+        self._is_closed = False
         self._n_waiting_for_clusters = 0
 
-    def submit(self, worker: Worker, work: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> _Answer[T]:
+    def submit(
+        self, worker: Worker, work: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs
+    ) -> "_Answer[T] | Done[T]":
         """Let a worker do a piece of work; wait while its queue is full.
 
         Raises:
             BaseException: What a worker raised that was not told yet.
         """
         self._raise_failure()
+        if self._is_closed:
+            return Done(work(*args, **kwargs))
         with self._changed:
             self._changed.wait_for(lambda: self._pending.get(worker, 0) < QUEUE[worker] or self._failure is not None)
         return self._start(worker, work, *args, **kwargs)
@@ -210,6 +215,7 @@ class LiveSchedule:
         for executor in self._executors.values():
             executor.shutdown(wait=True)
         self._executors.clear()
+        self._is_closed = True
         self._raise_failure()
 
     def awaiting(self, worker: Worker, work: str) -> _Awaiting:

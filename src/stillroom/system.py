@@ -7,6 +7,7 @@ import numpy as np
 
 from stillroom.bounds import check, in_pixels_of
 from stillroom.config import SlamConfig
+from stillroom.data.dense_cloud import DenseCloud
 from stillroom.data.frame import Frame
 from stillroom.data.image import RgbdImage
 from stillroom.data.map import Map, submaps
@@ -145,6 +146,11 @@ class System:
         """Return the frames that were tracked in sub-maps that are not merged with the main one."""
         in_main = {result.index for result in self._in_main()}
         return [result for result in self.results if result.T_world_cam is not None and result.index not in in_main]
+
+    def dense_cloud(self) -> DenseCloud | None:
+        """Return the dense map under the poses as known now; None where none is made."""
+        self.schedule.submit(Worker.DENSE, self.dense_mapper.refresh)
+        return self.schedule.submit(Worker.DENSE, self.dense_mapper.cloud).result()
 
     def close(self) -> None:
         """Finish pending work, and optimise the whole map a last time."""

@@ -161,6 +161,7 @@ def _track(chosen: "SlamConfig", source: "Source", options: "RunOptions", detect
     from stillroom.pipeline import run as run_pipeline
     from stillroom.pipeline.options import detector_ranges
     from stillroom.pipeline.results import chosen_folder
+    from stillroom.schedule import LiveSchedule
     from stillroom.system import segmenter_of
 
     show_log()
@@ -173,7 +174,8 @@ def _track(chosen: "SlamConfig", source: "Source", options: "RunOptions", detect
         segmenter=segmenter_of(chosen, dataset.camera, options.schedule),
     )
     say(f"{chosen.method} on {dataset.name}: {len(dataset)} images; camera: {dataset.camera_source}")
-    ensure_warm(STDERR, rendered(dataset) is not None)
+    is_paced = isinstance(options.schedule, LiveSchedule) and options.speed > 0
+    ensure_warm(STDERR, rendered(dataset) is not None, loaded=is_paced)
     outcome = run_pipeline(dataset, chosen, options, RunBar(STDERR))
     _report(outcome)
     if outcome.interrupted:

@@ -32,14 +32,15 @@ def warmup() -> None:
     )
 
 
-def ensure_warm(console: Console, renderer: bool = False) -> None:
+def ensure_warm(console: Console, renderer: bool = False, loaded: bool = False) -> None:
     """Compile the kernels, with a progress line, unless they are in the cache.
 
     Args:
         console: Where the line is shown.
         renderer: Whether the synthetic room's kernels will be needed too.
+        loaded: Whether they must be loaded too, which takes some seconds: a camera does not wait for the first frames.
     """
-    if not is_warm(renderer):
+    if loaded or not is_warm(renderer):
         with_progress(console, renderer)
 
 

@@ -237,8 +237,7 @@ def write_results(folder: Path, outcome: RunOutcome, truth: Truth | None) -> Den
         outcome.clock.write_csv(folder / TIMING)
     cloud = None
     with attempts.file(folder / DENSE):  # fusing may need room on a disk as well
-        system.dense_mapper.refresh()
-        cloud = system.dense_mapper.cloud()
+        cloud = system.dense_cloud()
     for name in (DENSE, CLOUD):  # for `stillroom export`, and for a viewer
         with attempts.file(folder / name):
             if cloud is not None:

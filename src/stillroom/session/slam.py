@@ -213,8 +213,7 @@ class Slam:
         Raises:
             MapError: The method makes no dense map.
         """
-        self.system.dense_mapper.refresh()
-        cloud = self.system.dense_mapper.cloud()
+        cloud = self.system.dense_cloud()
         if cloud is None:
             raise MapError(f"{self.config.method} makes no dense map here; the setting 'dense.kind=voxels' makes one")
         return cloud

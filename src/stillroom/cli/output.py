@@ -110,6 +110,8 @@ def print_lines(sentences: Iterable[str]) -> None:
 
 RATE_OVER_FRAMES = 30
 LINES_WITHOUT_TERMINAL = 10
+LINE_EVERY = 300
+"""Images from one line to the next, of a camera that nobody knows the end of: 10 s at 30 Hz."""
 COLORS = {TrackingState.OK: "green", TrackingState.LOST: "red", TrackingState.NOT_INITIALIZED: "yellow"}
 
 
@@ -127,11 +129,11 @@ class RunBar:
             disable=not console.is_terminal,
         )
         self._task: TaskID | None = None
-        self._n_frames = 0
+        self._n_frames: int | None = 0
         self._done = 0
         self._times_s: deque[float] = deque(maxlen=RATE_OVER_FRAMES + 1)
 
-    def start(self, n_frames: int) -> None:
+    def start(self, n_frames: int | None) -> None:
         """Show an empty bar."""
         self._n_frames, self._done = n_frames, 0
         self._times_s.append(time.perf_counter())
@@ -144,13 +146,17 @@ class RunBar:
         self._times_s.append(time.perf_counter())
         if self._console.is_terminal and self._task is not None:
             self._bar.update(self._task, advance=1, description=self._text(result, with_color=True))
-        elif self._done == self._n_frames or self._done % max(1, self._n_frames // LINES_WITHOUT_TERMINAL) == 0:
-            text = f"{self._done}/{self._n_frames}  {self._text(result, with_color=False)}"
+        elif self._done == self._n_frames or self._done % self._stride() == 0:
+            of_all = "" if self._n_frames is None else f"/{self._n_frames}"
+            text = f"{self._done}{of_all}  {self._text(result, with_color=False)}"
             self._console.print(text, highlight=False, soft_wrap=True)
 
     def finish(self) -> None:
         """Stop drawing; the bar stays."""
         self._bar.stop()
+
+    def _stride(self) -> int:
+        return LINE_EVERY if self._n_frames is None else max(1, self._n_frames // LINES_WITHOUT_TERMINAL)
 
     def _text(self, result: FrameSummary | None, with_color: bool) -> str:
         elapsed_s = self._times_s[-1] - self._times_s[0]
@@ -179,7 +185,7 @@ class FrameBar:
         self._task: TaskID | None = None
         self.label = ""
 
-    def start(self, n_frames: int) -> None:
+    def start(self, n_frames: int | None) -> None:
         """Show an empty bar."""
         self._task = self._bars.add_task(self.label, total=n_frames)
         self._bars.start()

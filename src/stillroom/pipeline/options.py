@@ -34,8 +34,8 @@ class RunOutcome:
         has_groundtruth: Whether the sequence came with a ground truth, be it one that cannot be used.
         n_given: Images that the run was given, those that cannot be read among them.
         n_unpaired: Images of the same stretch that were recorded, but left out for want of a depth image.
-        interrupted: Whether it was stopped before the last image.
-        bad: Number and time [s] of each image that cannot be read.
+        interrupted: Whether it was stopped before the last image, or the camera was gone.
+        bad: Number and time [s] of each image that cannot be read; the time is NaN where nobody knows it.
         pictures: What was drawn.
         ornaments: Counts the pictures that could not be drawn.
         map_file: Where the map was written; None if it was not.

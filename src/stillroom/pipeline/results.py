@@ -27,6 +27,7 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from datetime import datetime
 from io import StringIO
+from math import isnan
 from pathlib import Path
 from typing import Any
 
@@ -43,7 +44,7 @@ from stillroom.errors import NO_MEMORY, ConfigError, StillroomError
 from stillroom.evaluation.report import Evaluation, to_json
 from stillroom.evaluation.timing import FRAME, peak_memory_mb
 from stillroom.pipeline.options import RunOptions, RunOutcome
-from stillroom.protocols import Dataset
+from stillroom.protocols import CameraStream, Dataset
 from stillroom.session.provenance import provenance
 from stillroom.system import System
 
@@ -149,10 +150,10 @@ class Truth:
     at_camera: Trajectory | None = None
 
     @classmethod
-    def of(cls, dataset: Dataset) -> "Truth | None":
-        """Return that of a sequence, if it has any."""
-        as_given = dataset.groundtruth
-        return None if as_given is None else cls(as_given, dataset.groundtruth_at_camera)
+    def of(cls, origin: Dataset | CameraStream) -> "Truth | None":
+        """Return that of a sequence or a camera, if it has any."""
+        as_given = origin.groundtruth
+        return None if as_given is None else cls(as_given, origin.groundtruth_at_camera)
 
     @classmethod
     def read(cls, folder: Path) -> "Truth | None":
@@ -197,11 +198,11 @@ class Attempts:
             raise self._first
 
 
-def write_config(folder: Path, dataset: Dataset, config: SlamConfig, options: RunOptions) -> None:
+def write_config(folder: Path, origin: Dataset | CameraStream, config: SlamConfig, options: RunOptions) -> None:
     """Write the effective config and its provenance, before the run begins."""
     source = {} if options.source is None else {"source": asdict(options.source)}
     off = [f"{first}:{end}" for first, end in options.detector_off]
-    how = {"name": dataset.name, "camera_source": dataset.camera_source, "detector_off": off, **options.asked}
+    how = {"name": origin.name, "camera_source": origin.camera_source, "detector_off": off, **options.asked}
     replace_text(folder / CONFIG, to_toml(config, provenance() | how | source))
 
 
@@ -301,7 +302,9 @@ def _write_frames(path: Path, system: System, bad: Sequence[tuple[int, float]]) 
         )
         for r in system.results
     ]
-    rows += [(number, f"{time_s:.6f}", UNREADABLE, 0, 0, 0, 0, "", "") for number, time_s in bad]
+    rows += [
+        (number, "" if isnan(time_s) else f"{time_s:.6f}", UNREADABLE, 0, 0, 0, 0, "", "") for number, time_s in bad
+    ]
     header = ("frame", "timestamp_s", "state", "keypoints", "static", "inliers", "is_keyframe", "submap", "recovery")
     text = StringIO(newline="")
     writer = csv.writer(text)

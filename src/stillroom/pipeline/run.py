@@ -6,16 +6,15 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Protocol
 
-import numpy as np
-
 from stillroom.config import SlamConfig
 from stillroom.data.image import RgbdImage
 from stillroom.data.result import FrameSummary, TrackingState
 from stillroom.data.trajectory import Trajectory
-from stillroom.datasets.recording import groundtruth_flaw, unpaired_s
-from stillroom.errors import ConfigError, FrameError
+from stillroom.datasets.recording import groundtruth_flaw
+from stillroom.errors import CameraError, ConfigError, FrameError
 from stillroom.pipeline import results
 from stillroom.pipeline.evaluating import evaluate_trajectory
+from stillroom.pipeline.intake import Intake, intake_of
 from stillroom.pipeline.options import RunOptions, RunOutcome
 from stillroom.pipeline.ornaments import Ornamental
 from stillroom.pipeline.plots import draw_maps, draw_plots
@@ -43,8 +42,8 @@ LOADING = "loading"
 class RunProgress(Protocol):
     """Receives the progress of a run, such as a progress bar."""
 
-    def start(self, n_frames: int) -> None:
-        """Begin a run of `n_frames` frames."""
+    def start(self, n_frames: int | None) -> None:
+        """Begin a run of `n_frames` frames; None where a camera delivers them until it is stopped."""
 
     def frame(self, result: FrameSummary | None) -> None:
         """Report a frame; None is one that could not be read."""
@@ -56,7 +55,7 @@ class RunProgress(Protocol):
 class Silent:
     """Reports nothing."""
 
-    def start(self, n_frames: int) -> None:
+    def start(self, n_frames: int | None) -> None:
         """Do nothing."""
 
     def frame(self, result: FrameSummary | None) -> None:
@@ -105,15 +104,15 @@ class Remarks:
 
 
 def run(
-    dataset: Dataset, config: SlamConfig, options: RunOptions | None = None, progress: RunProgress = SILENT
+    source: Dataset | Intake, config: SlamConfig, options: RunOptions | None = None, progress: RunProgress = SILENT
 ) -> RunOutcome:
-    """Track every image of a sequence, write the results, and evaluate them against the ground truth.
+    """Track every image of a sequence or of a camera, write the results, and evaluate them against the ground truth.
 
-    Ctrl-C, a request to terminate (SIGTERM), a console that is closed (SIGHUP), or an error in the middle ends it
-    early; what there is by then is written all the same.
+    Ctrl-C, a request to terminate (SIGTERM), a console that is closed (SIGHUP), a camera that is gone, or an error in
+    the middle ends it early; what there is by then is written all the same.
 
     Args:
-        dataset: The sequence.
+        source: The sequence; or `Streamed(camera)`, the images of a camera that is entered.
         config: The method.
         options: What else to do.
         progress: Receives the progress.
@@ -124,62 +123,72 @@ def run(
     options = options or RunOptions()
     if options.map is not None:
         config = options.map.fitting(config)
-    if dataset.is_reversed and isinstance(config.semantics, MaskFilesConfig):
+    intake = intake_of(source)
+    origin = intake.origin
+    if intake.is_reversed and isinstance(config.semantics, MaskFilesConfig):
         raise ConfigError("--reverse changes the numbers and times by which masks are found; leave one of them out")
     slam = Slam(
         config,
-        dataset.camera,
+        origin.camera,
         map=None if options.map is None else options.map.path,
         map_use=MapUse.NEW if options.map is None else options.map.use,
-        segmenter=withhold(options.segmenter or segmenter_of(config, dataset.camera), options.detector_off),
-        sequence=dataset.name,
+        segmenter=withhold(options.segmenter or segmenter_of(config, origin.camera), options.detector_off),
+        sequence=origin.name,
     )
     with StopRequest() as stop, slam:
-        folder = _folder(dataset, slam.config, options)
+        folder = _folder(origin.name, slam.config, options)
         outcome = RunOutcome(config.method, folder, slam.system, slam.clock, doubts=slam.doubts)
         outcome.map_file, outcome.masks = slam.map_file, options.masks
         outcome.localized_in = None if options.map is None else options.map.read_only
         if folder is not None:
-            results.write_config(folder, dataset, slam.config, options)
-        slam.observe(Ornamental(_recorder(folder, dataset, options.pictures), outcome.ornaments))
+            results.write_config(folder, origin, slam.config, options)
+        slam.observe(Ornamental(_recorder(folder, intake, options.pictures), outcome.ornaments))
         if options.masks is not None:
             slam.observe(MaskWriter(options.masks))
         if options.observe is not None:
             slam.observe(options.observe(slam.system))
-        with _concluded_in_any_case(outcome, dataset, stop, options.pictures > 0), slam:
-            progress.start(len(dataset))
+        with _concluded_in_any_case(outcome, intake, stop, options.pictures > 0), slam:
+            progress.start(intake.n_images)
             try:
-                _track_all(dataset, slam, outcome, stop, progress)
+                _track_all(intake, slam, outcome, stop, progress)
             finally:
                 progress.finish()
     return outcome
 
 
-def _track_all(dataset: Dataset, slam: Slam, outcome: RunOutcome, stop: StopRequest, progress: RunProgress) -> None:
+def _track_all(intake: Intake, slam: Slam, outcome: RunOutcome, stop: StopRequest, progress: RunProgress) -> None:
     remarks = Remarks(outcome.seen)
-    for place in range(len(dataset)):
-        if stop.asked:
-            outcome.interrupted = True
-            return
-        outcome.n_given += 1
-        try:
-            with slam.clock.stage(LOADING):
-                image = dataset.load(place)
-            result = slam.process(image)
-        except FrameError as error:
-            number = int(dataset.numbers[place])
-            outcome.bad.append((number, float(dataset.timestamps_s[place])))
-            remarks.unreadable(number, error)
-            progress.frame(None)
-            continue
-        remarks.frame(image, result)
-        progress.frame(result)
+    with _ended_by_camera(outcome):
+        for arrival in intake.arrivals():
+            if stop.asked:
+                outcome.interrupted = True
+                return
+            outcome.n_given += 1
+            try:
+                with slam.clock.stage(LOADING):
+                    image = arrival.load()
+                result = slam.process(image)
+            except FrameError as error:
+                outcome.bad.append((arrival.number, arrival.time_s))
+                remarks.unreadable(arrival.number, error)
+                progress.frame(None)
+                continue
+            remarks.frame(image, result)
+            progress.frame(result)
 
 
 @contextmanager
-def _concluded_in_any_case(
-    outcome: RunOutcome, dataset: Dataset, stop: StopRequest, with_plots: bool
-) -> Iterator[None]:
+def _ended_by_camera(outcome: RunOutcome) -> Iterator[None]:
+    """Let a camera that is gone end the run as Ctrl-C does."""
+    try:
+        yield
+    except CameraError as error:
+        outcome.interrupted = True
+        log.error("%s; the run ends here [see troubleshooting: camera]", error)
+
+
+@contextmanager
+def _concluded_in_any_case(outcome: RunOutcome, intake: Intake, stop: StopRequest, with_plots: bool) -> Iterator[None]:
     """Evaluate and write the results when the block ends, however it ends; signals are then ignored."""
     try:
         yield
@@ -189,16 +198,16 @@ def _concluded_in_any_case(
         outcome.interrupted = True
     except BaseException:
         stop.hold()
-        _conclude(outcome, dataset, with_plots)
+        _conclude(outcome, intake, with_plots)
         raise
-    _conclude(outcome, dataset, with_plots)
+    _conclude(outcome, intake, with_plots)
     outcome.interrupted |= stop.asked
 
 
-def _conclude(outcome: RunOutcome, dataset: Dataset, with_plots: bool) -> None:
-    trajectory, truth, folder = outcome.system.trajectory(), results.Truth.of(dataset), outcome.folder
-    outcome.has_groundtruth = truth is not None or groundtruth_flaw(dataset) != ""
-    outcome.n_unpaired = _n_unpaired(dataset, outcome.n_given)
+def _conclude(outcome: RunOutcome, intake: Intake, with_plots: bool) -> None:
+    trajectory, truth, folder = outcome.system.trajectory(), results.Truth.of(intake.origin), outcome.folder
+    outcome.has_groundtruth = truth is not None or groundtruth_flaw(intake.origin) != ""
+    outcome.n_unpaired = intake.n_unpaired(outcome.n_given)
     cloud = None
     try:
         _evaluate(outcome, trajectory, truth)
@@ -207,7 +216,7 @@ def _conclude(outcome: RunOutcome, dataset: Dataset, with_plots: bool) -> None:
             cloud = results.write_results(folder, outcome, truth)
     if folder is None:
         return
-    title = f"{outcome.method} on {dataset.name}"
+    title = f"{outcome.method} on {intake.origin.name}"
     n_told, ornaments = outcome.ornaments.n_failed, outcome.ornaments
     if with_plots:
         draw_maps(folder / results.PICTURES, outcome.system, cloud, title, ornaments)
@@ -227,27 +236,15 @@ def _evaluate(outcome: RunOutcome, trajectory: Trajectory, truth: results.Truth 
             outcome.doubts.append(doubt)
 
 
-def _n_unpaired(dataset: Dataset, n_given: int) -> int:
-    """Return how many images were left out for want of depth; of a run that was stopped, up to its last image."""
-    lost_s = unpaired_s(dataset)
-    if n_given < len(dataset):
-        lost_s = lost_s[lost_s < dataset.timestamps_s[n_given]]
-    return len(lost_s)
-
-
-def _folder(dataset: Dataset, config: SlamConfig, options: RunOptions) -> Path | None:
+def _folder(name: str, config: SlamConfig, options: RunOptions) -> Path | None:
     if options.folder is not None:
         return results.chosen_folder(options.folder)
     if options.root is not None:
-        return results.new_folder(options.root, config.method, dataset.name)
+        return results.new_folder(options.root, config.method, name)
     return None
 
 
-def _recorder(folder: Path | None, dataset: Dataset, n_pictures: int) -> RunObserver:
+def _recorder(folder: Path | None, intake: Intake, n_pictures: int) -> RunObserver:
     if folder is None or n_pictures <= 0:
         return NoObserver()
-    numbers = dataset.numbers
-    # The middles of equal parts: not the first frame, which has no earlier ones, nor the last.
-    places = (np.arange(n_pictures) + 0.5) * len(numbers) / n_pictures
-    chosen = tuple(int(number) for number in numbers[np.unique(places.astype(np.int64))])
-    return PictureRecorderConfig(every=0, frames=chosen).build(folder / results.PICTURES)
+    return PictureRecorderConfig(every=0, frames=intake.spread(n_pictures)).build(folder / results.PICTURES)

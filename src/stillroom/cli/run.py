@@ -54,7 +54,10 @@ ExportMasks = Annotated[
 
 def run(
     sequence: Annotated[
-        str, typer.Argument(metavar="SEQUENCE", help="A folder, an archive, a known name, or synthetic:walking.")
+        str,
+        typer.Argument(
+            metavar="SEQUENCE", help="A folder, an archive, a known name, synthetic:walking, or camera:realsense."
+        ),
     ],
     method: Method = None,
     frames: Frames = None,
@@ -78,7 +81,7 @@ def run(
     export_masks: ExportMasks = None,
     pictures: Annotated[int, typer.Option(min=0, metavar="N", help="How many frames to draw; 0: no pictures.")] = 8,
 ) -> None:
-    """Track the camera through a sequence.
+    """Track the camera through a sequence, or a camera that is plugged in.
 
     Writes trajectory, figures and pictures into a folder in results/; Ctrl-C ends a run early and keeps the results so
     far. Exit code 3 says that nothing was tracked.
@@ -89,6 +92,7 @@ def run(
         stillroom run synthetic:walking --frames 0:90 --set semantics.kind=truth
         stillroom run rgbd_bonn_crowd --frames :200 --map room.stillmap
         stillroom run rgbd_bonn_crowd --frames 200: --map room.stillmap --localize
+        stillroom run camera:realsense --map room.stillmap
     """
     from stillroom.datasets.pairing import Pairing
     from stillroom.pipeline import RunOptions, Source
@@ -129,22 +133,33 @@ def _track(chosen: "SlamConfig", source: "Source", options: "RunOptions", detect
     from stillroom.cli.output import STDERR, RunBar, print_error, say, show_log
     from stillroom.cli.warmup import ensure_warm
     from stillroom.datasets.recording import rendered
+    from stillroom.pipeline import Recorded, Streamed
     from stillroom.pipeline import run as run_pipeline
     from stillroom.pipeline.options import detector_ranges
     from stillroom.pipeline.results import chosen_folder
     from stillroom.system import segmenter_of
 
     show_log()
-    dataset = source.open()
-    options = replace(
-        options,
-        folder=chosen_folder(options.folder) if options.folder is not None else None,
-        detector_off=detector_ranges(detector_off, dataset),
-        segmenter=segmenter_of(chosen, dataset.camera),  # now: a missing file is reported before kernels are compiled
-    )
-    say(f"{chosen.method} on {dataset.name}: {len(dataset)} images; camera: {dataset.camera_source}")
-    ensure_warm(STDERR, rendered(dataset) is not None)
-    outcome = run_pipeline(dataset, chosen, options, RunBar(STDERR))
+    intake = source.intake()
+    if isinstance(intake, Streamed):
+        if detector_off:
+            raise ConfigError("--detector-off names images of a recorded sequence; leave it out")
+        ensure_warm(STDERR)  # now: the images of a camera that is started do not wait
+    with intake.started():
+        origin = intake.origin
+        options = replace(
+            options,
+            folder=chosen_folder(options.folder) if options.folder is not None else None,
+            detector_off=detector_ranges(detector_off, intake.origin) if isinstance(intake, Recorded) else (),
+            segmenter=segmenter_of(
+                chosen, origin.camera
+            ),  # now: a missing file is reported before kernels are compiled
+        )
+        n_images = "" if intake.n_images is None else f"{intake.n_images} images; "
+        say(f"{chosen.method} on {origin.name}: {n_images}camera: {origin.camera_source}")
+        if isinstance(intake, Recorded):
+            ensure_warm(STDERR, rendered(intake.origin) is not None)
+        outcome = run_pipeline(intake, chosen, options, RunBar(STDERR))
     _report(outcome)
     if outcome.interrupted:
         raise typer.Exit(INTERRUPTED)

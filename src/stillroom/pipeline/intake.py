@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -46,6 +47,9 @@ class Intake(Protocol):
     def is_reversed(self) -> bool:
         """Whether a recording is played backwards."""
 
+    def started(self) -> AbstractContextManager[object]:
+        """Return a context in which images come: a camera is started, and stopped after it."""
+
     def arrivals(self) -> Iterator[Arrival]:
         """Yield the images as they come; that of a recording is read when its `load` is called.
 
@@ -76,6 +80,10 @@ class Recorded:
         """Whether they are played backwards."""
         return self.origin.is_reversed
 
+    def started(self) -> AbstractContextManager[object]:
+        """Return a context that does nothing: a recording is there."""
+        return nullcontext()
+
     def arrivals(self) -> Iterator[Arrival]:
         """Yield the images, none read yet."""
         dataset = self.origin
@@ -99,11 +107,19 @@ class Recorded:
 
 @dataclass(frozen=True)
 class Streamed:
-    """The images of a camera, as it takes them. The camera is entered before, and left after the run."""
+    """The images of a camera, as it takes them; a run needs it entered (see `started`)."""
 
     origin: CameraStream
     n_images: None = None
     is_reversed: bool = False
+
+    def started(self) -> AbstractContextManager[object]:
+        """Return the camera, which starts when it is entered.
+
+        Raises:
+            CameraError: On entering: there is none, or it does not start.
+        """
+        return self.origin
 
     def arrivals(self) -> Iterator[Arrival]:
         """Wait for one image after the other.

@@ -61,8 +61,8 @@ class Faults:
         numbers = list(range(n_images))
         for number in sorted(self.swapped, reverse=True):
             if 0 <= number < n_images - 1:
-                place = numbers.index(number)
-                numbers[place : place + 2] = reversed(numbers[place : place + 2])
+                numbers.remove(number)
+                numbers.insert(numbers.index(number + 1) + 1, number)
         return [each for number in numbers for each in self._arrivals(number)]
 
     def _arrivals(self, number: int) -> list[int]:

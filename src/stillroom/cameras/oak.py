@@ -26,13 +26,10 @@ class Oak:
     """Undistorted colour, and stereo depth registered to it; a `Device`."""
 
     def __init__(self, device_id: str) -> None:
-        """Keep the id; "" for the first camera that there is.
-
-        Raises:
-            MissingExtraError: `depthai` is not installed.
-        """
+        """Keep the id, "" for the first camera that there is; `library` says where `depthai` is not installed."""
         self._dai, self._id = library("depthai", "oak"), device_id
-        self._running, self._first = ExitStack(), None
+        self._running = ExitStack()
+        self._first: Any = None
 
     def start(self) -> Camera:
         """Start the device, and return the calibration that its first colour image has."""
@@ -43,11 +40,11 @@ class Oak:
         stereo, self._queue = self._built(pipeline.create, device.getPlatform() == dai.Platform.RVC4)
         pipeline.start()
         self._running.callback(pipeline.stop)
-        self._first = self._next(FIRST_WAIT_S)
-        if self._first is None:
+        if (first := self._next(FIRST_WAIT_S)) is None:
             raise CameraError(f"camera:oak: has sent nothing for {FIRST_WAIT_S:g} s after its start")
-        # The device undistorts the image, so what it says of its lens is none of it.
-        (fx, _, cx), (_, fy, cy), _ = self._first[COLOUR].getTransformation().getIntrinsicMatrix()
+        self._first = first
+        # The device undistorts the image, so it has no distortion any more.
+        (fx, _, cx), (_, fy, cy), _ = first[COLOUR].getTransformation().getIntrinsicMatrix()
         depth_factor = UNITS_PER_METRE[stereo.initialConfig.getDepthUnit().name]
         return Camera(WIDTH, HEIGHT, fx, fy, cx, cy, depth_factor=depth_factor, bf=DEFAULT_BASELINE_M * fx)
 
@@ -55,13 +52,12 @@ class Oak:
         """Connect the nodes as Luxonis' example of aligned depth does; return that of stereo depth, and the queue."""
         dai, node, sockets = self._dai, self._dai.node, self._dai.CameraBoardSocket
         colour = create(node.Camera).build(sockets.CAM_A)
-        left, right = create(node.Camera).build(sockets.CAM_B), create(node.Camera).build(sockets.CAM_C)
         stereo, sync = create(node.StereoDepth), create(node.Sync)
         stereo.setLeftRightCheck(True)
         stereo.setSubpixel(True)  # whole disparities are steps of half a metre at 4 m
         seen = colour.requestOutput((WIDTH, HEIGHT), dai.ImgFrame.Type.RGB888i, fps=RATE_HZ, enableUndistortion=True)
-        left.requestOutput(STEREO_SIZE, fps=RATE_HZ).link(stereo.left)
-        right.requestOutput(STEREO_SIZE, fps=RATE_HZ).link(stereo.right)
+        for socket, side in ((sockets.CAM_B, stereo.left), (sockets.CAM_C, stereo.right)):
+            create(node.Camera).build(socket).requestOutput(STEREO_SIZE, fps=RATE_HZ).link(side)
         seen.link(sync.inputs[COLOUR])
         if is_rvc4:
             align = create(node.ImageAlign)

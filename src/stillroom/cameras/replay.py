@@ -113,7 +113,9 @@ def open_replay(text: str) -> ReplayCamera:
         ConfigError: No folder is named, or the faults are malformed.
         DatasetError, CalibrationError: It cannot be opened.
     """
-    folder, mark, faults = (text, "", "") if Path(text).exists() else text.partition("?")
+    folder, mark, faults = text.rpartition("?")
+    if not mark or (text and Path(text).exists()):
+        folder, mark, faults = text, "", ""
     if not folder:
         raise ConfigError(f"camera:replay: name what is to be played: {KIND.usage}")
     return ReplayCamera(open_dataset(folder), Faults.read(faults) if mark else NO_FAULTS)

@@ -19,9 +19,10 @@ def record(
     frames: Annotated[int | None, typer.Option("--frames", metavar="N", help="End after N images.")] = None,
     seconds: Annotated[float | None, typer.Option("--seconds", metavar="S", help="End after S seconds.")] = None,
 ) -> None:
-    """Keep what a camera sees as a sequence in TUM's layout, with the camera's own calibration.
+    """Keep what a camera sees as a sequence.
 
-    Ctrl-C ends the recording; what has come by then is whole. 'stillroom run FOLDER' tracks it, as often as you like.
+    Writes a folder in TUM's layout with the camera's own calibration. Ctrl-C ends the recording; what has come by then
+    is whole. 'stillroom run FOLDER' tracks it, as often as you like.
 
         stillroom record camera:realsense my-room --seconds 60
         stillroom run my-room

@@ -81,10 +81,11 @@ def run(
     export_masks: ExportMasks = None,
     pictures: Annotated[int, typer.Option(min=0, metavar="N", help="How many frames to draw; 0: no pictures.")] = 8,
 ) -> None:
-    """Track the camera through a sequence, or a camera that is plugged in.
+    """Track the camera through a sequence.
 
-    Writes trajectory, figures and pictures into a folder in results/; Ctrl-C ends a run early and keeps the results so
-    far. Exit code 3 says that nothing was tracked.
+    Or a camera that is plugged in, until it is stopped; 'stillroom record' keeps what it sees. Writes trajectory,
+    figures and pictures into a folder in results/; Ctrl-C ends a run early and keeps the results so far. Exit code 3
+    says that nothing was tracked.
 
     An archive is unpacked once into the user's cache and stays there until you delete it.
 

@@ -137,8 +137,8 @@ class Streamed:
                 continue
             if image is None:
                 return
-            number = image.index
-            yield Arrival(number, image.timestamp_s, lambda image=image: image)  # type: ignore[misc]
+            number = max(number, image.index)
+            yield Arrival(image.index, image.timestamp_s, lambda image=image: image)  # type: ignore[misc]
 
     def n_unpaired(self, n_given: int) -> int:
         """Return 0: a camera gives no image without its depth."""

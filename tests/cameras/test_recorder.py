@@ -142,10 +142,12 @@ class Stuck:
     def __init__(self) -> None:
         self.began, self.may_go_on = threading.Event(), threading.Event()
         self._encode = cv2.imencode
+        self.compression: list[int] = []
 
     def __call__(self, suffix: str, pixels: U8, options: tuple[int, ...]) -> object:
         self.began.set()
         assert self.may_go_on.wait(60.0)
+        self.compression.append(options[options.index(cv2.IMWRITE_PNG_COMPRESSION) + 1])
         return self._encode(suffix, pixels, options)
 
 
@@ -164,6 +166,22 @@ def test_images_that_come_faster_than_they_are_written_are_counted(
     assert kept == [True, True, True, False, False, False]
     assert (recorder.n_written, recorder.n_dropped) == (3, 3)
     same_images(tiny, out, [0, 1, 2])
+
+
+def test_images_are_not_compressed_while_many_wait(tiny: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    stuck, out = Stuck(), tmp_path / "out"
+    out.mkdir()
+    monkeypatch.setattr("stillroom.cameras.recorder.cv2.imencode", stuck)
+    with open_camera(f"camera:replay:{tiny}") as camera, TumRecorder(out, camera, length=6) as recorder:
+        images = [image for _ in range(LENGTH) if (image := camera.next()) is not None]
+        assert recorder.keep(images[0])
+        assert stuck.began.wait(60.0)  # it holds the first one, and six wait; the last entry of a queue is its end
+        assert all(recorder.keep(image) for image in images[1:7])
+        stuck.may_go_on.set()
+    assert stuck.compression[:2] == [1, 1]
+    assert stuck.compression[2:6] == [0, 0, 0, 0]
+    assert stuck.compression[-2:] == [1, 1]
+    same_images(tiny, out, list(range(7)))
 
 
 def test_a_full_disk_ends_it_in_one_line_and_what_is_listed_is_whole(

@@ -17,9 +17,9 @@ SOURCE = Path(__file__).parents[1] / "src"
 
 LEVELS = {
     "geometry": 0,
+    "schedule": 0,
     "data": 1,
     "protocols": 2,
-    "schedule": 2,
     "plugins": 2,
     "features": 3,
     "optimize": 3,

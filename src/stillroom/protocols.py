@@ -39,6 +39,7 @@ from stillroom.data.semantics import Semantics
 from stillroom.data.trajectory import Trajectory
 from stillroom.geometry.arrays import F32, F64, I64, U8, Bool
 from stillroom.geometry.camera import Camera
+from stillroom.schedule import InOrder, Worker
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -126,6 +127,10 @@ class CameraStream(Protocol):
     @property
     def groundtruth_at_camera(self) -> Trajectory | None:
         """The same moved to the camera; see `Dataset.groundtruth_at_camera`."""
+
+    @property
+    def comes_in_time(self) -> bool:
+        """Whether `next` waits until an image is taken; a recording that is played has its images at once."""
 
     def __enter__(self) -> Self:
         """Start the camera.
@@ -224,8 +229,14 @@ class Clusterer(Protocol):
 class Schedule(Protocol):
     """Decides when submitted work runs. A stage never knows which schedule it runs on."""
 
-    def submit(self, work: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Pending[T]:
-        """Run the work now or later; work submitted through one schedule keeps its order."""
+    def submit(self, worker: Worker, work: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Pending[T]:
+        """Run the work now or later; the work of one worker keeps its order."""
+
+    def offer(self, worker: Worker, work: Callable[P, object], /, *args: P.args, **kwargs: P.kwargs) -> None:
+        """Do the same with work that may be left out, where the worker has not kept up."""
+
+    def keeps_up(self, worker: Worker) -> bool:
+        """Return whether a worker keeps up with what is submitted."""
 
     def close(self) -> None:
         """Finish what was submitted."""
@@ -313,12 +324,14 @@ class Parts:
             opened and finds an empty one here.
         seed: Seed of all random choices.
         clock: Times stages within the part.
+        schedule: Runs what a part does not wait for.
     """
 
     camera: Camera
     world: Map
     seed: int = 0
     clock: Clock = field(default_factory=NoClock)
+    schedule: Schedule = field(default_factory=InOrder)
 
 
 class DenseMapping(Protocol):

@@ -1,15 +1,17 @@
 """The system: one image in, one pose out. Read `System.process` first."""
 
+from collections import deque
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from stillroom.bounds import check, in_pixels_of
 from stillroom.config import SlamConfig
+from stillroom.data.frame import Frame
 from stillroom.data.image import RgbdImage
 from stillroom.data.map import Map, submaps
+from stillroom.data.question import Perceived
 from stillroom.data.result import FrameResult, FrameSummary, Recovery, Tracked
-from stillroom.data.semantics import Semantics
 from stillroom.data.trajectory import Trajectory
 from stillroom.dynamics.asking import Asking
 from stillroom.evaluation.timing import StageClock, timed_part
@@ -32,7 +34,7 @@ from stillroom.protocols import (
     Schedule,
     Segmenter,
 )
-from stillroom.schedule import InOrder
+from stillroom.schedule import InOrder, Worker
 from stillroom.storage.keeper import NoKeeper
 from stillroom.tracking.keyframe_policy import KeyframePolicy
 from stillroom.tracking.relocalizer import Relocalizer
@@ -64,26 +66,38 @@ class System:
     results: list[FrameSummary] = field(default_factory=list)
     first_keyframe: int = 0
     n_repeated: int = 0
+    _ahead: deque[tuple[RgbdImage, Pending[Frame], Perceived]] = field(default_factory=deque)
 
     def process(self, image: RgbdImage) -> FrameResult:
         """Track one image; images come in order of time."""
-        semantics = self.schedule.submit(self.segmenter, image)  # potentially dynamic; awaited by its readers
-        semantics = self.schedule.submit(self.clusterer, image, semantics)  # the same, with clusters of the depth cloud
-        frame = self.features.extract(image)
-        frame = self.keypoint_sieve(frame, semantics)  # sieve 1
-        tracked = self.tracker.track(frame, semantics, self.map)  # sieve 2 inside: a pose, and what is dynamic
-        if tracked.lost:
-            tracked = self.recovery.recover(tracked, semantics, self.map)
-        keyframe = -1
-        if self.keyframe_policy.wants(tracked, self.map):
-            keyframe = self.mapper.insert(tracked)  # now: points from depth, from static keypoints only
-            self.schedule.submit(self.mapper.refine, keyframe)  # later: triangulate, fuse, adjust, cull
-            self.schedule.submit(self.places.remember, keyframe)  # place index; culled ones are removed
-            self.schedule.submit(self.joiner.join, keyframe)  # merge sub-maps where a place is recognised
-            self.schedule.submit(self.loop_closer.close, keyframe)  # correct the map where a place is seen again
-            self.schedule.submit(self.keeper.keep, keyframe, image, tracked.motion.moving)  # on disk, where wanted
+        extracted, semantics = self._begun(image)
+        frame = self.keypoint_sieve(extracted.result(), semantics)  # sieve 1
+        with self.map.lock.frame():
+            tracked = self.tracker.track(frame, semantics, self.map)  # sieve 2 inside: a pose, and what is dynamic
+            if tracked.lost:
+                tracked = self.recovery.recover(tracked, semantics, self.map)
+            keyframe = -1
+            if self.keyframe_policy.wants(tracked, self.map, self._mapping_keeps_up):
+                keyframe = self.mapper.insert(tracked)  # now: points from depth, from static keypoints only
+        if keyframe >= 0:
+            self._refine_around(keyframe, image, tracked)
         self._map_densely(tracked, keyframe)
-        return self._conclude(tracked, semantics, keyframe)
+        with self.map.lock.frame():
+            return self._conclude(tracked, semantics, keyframe)
+
+    def begin(self, image: RgbdImage) -> None:
+        """Submit what does not depend on earlier poses for an image that will be processed next.
+
+        Workers do it while the image before is tracked. Images that are begun must be processed, in the same order; one
+        that was begun already is not begun again.
+        """
+        if any(begun is image for begun, _, _ in self._ahead):
+            return
+        submit, waiting = self.schedule.submit, self.map.lock.let_go
+        found = submit(Worker.SEMANTICS, self.segmenter, image)  # potentially dynamic; awaited by its readers
+        clustered = submit(Worker.CLUSTERS, self.clusterer, image, found)  # the same, with clusters of the depth cloud
+        extracted = submit(Worker.FEATURES, self.features.extract, image)
+        self._ahead.append((image, extracted, Perceived(found, clustered, waiting)))
 
     def repeat(self, result: FrameResult, image: RgbdImage) -> FrameResult:
         """Give an image that shows exactly what the one before it did that one's pose, and count it.
@@ -134,18 +148,41 @@ class System:
 
     def close(self) -> None:
         """Finish pending work, and optimise the whole map a last time."""
-        self.schedule.submit(self.mapper.finish)
-        self.schedule.close()
+        try:
+            self.schedule.submit(Worker.MAPPING, self.mapper.finish)
+        finally:
+            self.schedule.close()
+
+    def _begun(self, image: RgbdImage) -> tuple[Pending[Frame], Perceived]:
+        """Return what workers do with an image; those begun before it are dropped."""
+        self.begin(image)
+        while True:
+            begun, extracted, semantics = self._ahead.popleft()
+            if begun is image:
+                return extracted, semantics
+
+    @property
+    def _mapping_keeps_up(self) -> bool:
+        return self.schedule.keeps_up(Worker.MAPPING) and self.schedule.keeps_up(Worker.DENSE)
+
+    def _refine_around(self, keyframe: int, image: RgbdImage, tracked: Tracked) -> None:
+        """Submit the mapping of a new keyframe."""
+        submit = self.schedule.submit
+        submit(Worker.MAPPING, self.mapper.refine, keyframe)  # triangulate, fuse, adjust, cull
+        submit(Worker.MAPPING, self.places.remember, keyframe)  # place index; culled ones are removed
+        submit(Worker.MAPPING, self.joiner.join, keyframe)  # merge sub-maps where a place is recognised
+        submit(Worker.MAPPING, self.loop_closer.close, keyframe)  # correct the map where a place is seen again
+        submit(Worker.MAPPING, self.keeper.keep, keyframe, image, tracked.motion.moving)  # on disk, where wanted
 
     def _map_densely(self, tracked: Tracked, keyframe: int) -> None:
         """Pass the frame to the dense map (sieve 3): keyframes are fused, other frames carve free space."""
         image, moving = tracked.frame.image, tracked.motion.moving
         if keyframe >= 0:
-            self.schedule.submit(self.dense_mapper.integrate, keyframe, image, moving)
+            self.schedule.submit(Worker.DENSE, self.dense_mapper.integrate, keyframe, image, moving)
         elif tracked.T_world_cam is not None:
-            self.schedule.submit(self.dense_mapper.carve, image, tracked.T_world_cam, moving)
+            self.schedule.offer(Worker.DENSE, self.dense_mapper.carve, image, tracked.T_world_cam, moving)
 
-    def _conclude(self, tracked: Tracked, semantics: Pending[Semantics], keyframe: int) -> FrameResult:
+    def _conclude(self, tracked: Tracked, semantics: Perceived, keyframe: int) -> FrameResult:
         """Store the frame in tracker and sieve, after mapping, and keep a summary of it."""
         if keyframe >= 0:
             tracked = replace(
@@ -229,7 +266,8 @@ def build(
     check(config)
     config = in_pixels_of(config, camera.pixel_scale)
     clock, world = clock or StageClock(), world or Map(config.features.scales(camera))
-    parts = Parts(camera, world, config.seed, clock)
+    schedule = schedule or InOrder()
+    parts = Parts(camera, world, config.seed, clock, schedule)
     segmenter = segmenter or config.semantics.build(parts)
     sieve = timed_part(Asking(config.dynamics.build(parts), world), clock, judge="dynamics", remember="memory")
     tracker = config.tracking.build(parts, sieve, config.low_cost.build(parts, sieve))
@@ -237,10 +275,14 @@ def build(
     places.remember_all()
     recovery = config.recovery.build(parts, tracker, places)
     dense_mapper = config.dense.build(parts)
-    joiner = config.joining.build(parts, places, after=(dense_mapper.refresh,))
-    loop_closer = config.loops.build(parts, places, after=(dense_mapper.refresh,))
+
+    def refresh_dense_map() -> None:
+        schedule.submit(Worker.DENSE, dense_mapper.refresh)
+
+    joiner = config.joining.build(parts, places, after=(refresh_dense_map,))
+    loop_closer = config.loops.build(parts, places, after=(refresh_dense_map,))
     return System(
-        schedule=schedule or InOrder(),
+        schedule=schedule,
         segmenter=clock.timed("semantics", segmenter),
         clusterer=clock.timed("clusters", config.clusters.build(parts)),
         features=timed_part(config.features.build(parts), clock, extract="features"),
@@ -261,13 +303,18 @@ def build(
     )
 
 
-def segmenter_of(config: SlamConfig, camera: Camera) -> Segmenter:
+def segmenter_of(config: SlamConfig, camera: Camera, schedule: Schedule | None = None) -> Segmenter:
     """Return the segmenter of a config on its own, such as to check early for missing files.
+
+    Args:
+        config: The config.
+        camera: The calibration of the images.
+        schedule: That of the system that will use it; in order by default.
 
     Raises:
         ConfigError, WeightsError: As `build`.
     """
-    parts = Parts(camera, Map(config.features.scales(camera)), config.seed)
+    parts = Parts(camera, Map(config.features.scales(camera)), config.seed, schedule=schedule or InOrder())
     return in_pixels_of(config.semantics, camera.pixel_scale).build(parts)
 
 

@@ -71,6 +71,7 @@ def asked(name: str, serial: str = "") -> CameraStream:
 def test_a_device_keeps_the_contract(name: str) -> None:
     plugged = plug(name, [IMAGES[name](k) for k in range(6)])
     images = check_camera(lambda: asked(name))
+    assert asked(name).comes_in_time
     assert [tuple(image.rgb[3, 4]) for image in images] == [(200, 30, 10 + k) for k in range(5)]
     assert [image.depth_m[3, 4] for image in images] == [np.float32(1.5 + k / 1000) for k in range(5)]
     assert not any(image.depth_m[:, 600:].any() for image in images)

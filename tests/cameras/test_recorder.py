@@ -45,7 +45,7 @@ def same_images(first: Path, second: Path, places: list[int]) -> None:
 def test_a_recording_is_a_data_set_with_the_same_images(tiny: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     with open_camera(f"camera:replay:{tiny}") as camera:
-        outcome = record(camera, out, waits=True)
+        outcome = record(camera, out)
     assert (outcome.n_written, outcome.n_dropped, outcome.n_not_later, outcome.n_unreadable) == (LENGTH, 0, 0, 0)
     same_images(tiny, out, list(range(LENGTH)))
     dataset = open_dataset(str(out))
@@ -67,7 +67,7 @@ def test_it_ends_after_so_many_images_or_seconds(tiny: Path, tmp_path: Path) -> 
         [({"n_frames": 3}, 3), ({"seconds": 0.09}, 3), ({"n_frames": 5, "seconds": 9.0}, 5), ({"seconds": 0.11}, 4)]
     ):
         with open_camera(f"camera:replay:{tiny}") as camera:
-            assert record(camera, tmp_path / str(k), waits=True, **limits).n_written == expected
+            assert record(camera, tmp_path / str(k), **limits).n_written == expected
         assert len(open_dataset(str(tmp_path / str(k)))) == expected
 
 
@@ -89,7 +89,7 @@ def test_what_a_faulty_camera_sends_is_kept_in_order(
     out = tmp_path / "out"
     faults = "missing=1&doubled=2&swapped=3&unreadable=5&gone=6"
     with caplog.at_level(logging.WARNING), open_camera(f"camera:replay:{tiny}?{faults}") as camera:
-        outcome = record(camera, out, waits=True)
+        outcome = record(camera, out)
     assert (outcome.n_written, outcome.n_not_later, outcome.n_unreadable, outcome.is_gone) == (4, 2, 1, True)
     same_images(tiny, out, [0, 2, 4, 6])
     assert [record.getMessage() for record in caplog.records if record.name.endswith("recording")] == [
@@ -104,6 +104,12 @@ def test_a_camera_that_delivers_nothing_is_an_error(tiny: Path, tmp_path: Path) 
         pytest.raises(StillroomError, match="delivered no image"),
     ):
         record(camera, tmp_path / "out")
+
+
+class InTime(ReplayCamera):
+    """A camera whose images do not wait."""
+
+    comes_in_time = True
 
 
 class Pressed(ReplayCamera):
@@ -127,10 +133,10 @@ def test_ctrl_c_leaves_whole_files(tiny: Path, tmp_path: Path, times: int) -> No
     before = signal.getsignal(signal.SIGINT)
     with Pressed(tiny, times) as camera:
         if times == 1:
-            assert record(camera, out, waits=True).n_written == 4
+            assert record(camera, out).n_written == 4
         else:
             with pytest.raises(KeyboardInterrupt):
-                record(camera, out, waits=True)
+                record(camera, out)
     same_images(tiny, out, list(range(5 - times)))
     assert signal.getsignal(signal.SIGINT) is before
     assert not any(thread.name == "recorder" for thread in threading.enumerate())
@@ -157,7 +163,7 @@ def test_images_that_come_faster_than_they_are_written_are_counted(
     stuck, out = Stuck(), tmp_path / "out"
     out.mkdir()
     monkeypatch.setattr("stillroom.cameras.recorder.cv2.imencode", stuck)
-    with open_camera(f"camera:replay:{tiny}") as camera, TumRecorder(out, camera, length=2) as recorder:
+    with InTime(open_dataset(str(tiny))) as camera, TumRecorder(out, camera, length=2) as recorder:
         images = [image for _ in range(LENGTH) if (image := camera.next()) is not None]
         kept = [recorder.keep(images[0])]
         assert stuck.began.wait(60.0)  # it holds the first one; two fit into the queue
@@ -201,7 +207,7 @@ def test_a_full_disk_ends_it_in_one_line_and_what_is_listed_is_whole(
         open_camera(f"camera:replay:{tiny}") as camera,
         pytest.raises(StillroomError, match=r"depth/.*cannot be written \(No space left .*disk-full\]$"),
     ):
-        record(camera, out, waits=True)
+        record(camera, out)
     same_images(tiny, out, [0, 1])
 
 
@@ -222,7 +228,7 @@ def test_times_of_any_clock_are_read_back_as_they_were(tiny: Path, tmp_path: Pat
     out.mkdir()
     times_s = [start_s + k / 30 for k in range(5)]
     times_s.append(float(np.nextafter(times_s[-1], np.inf)))
-    with open_camera(f"camera:replay:{tiny}") as camera, TumRecorder(out, camera, waits=True) as recorder:
+    with open_camera(f"camera:replay:{tiny}") as camera, TumRecorder(out, camera) as recorder:
         for time_s in times_s:
             recorder.keep(replace(image, timestamp_s=time_s))
     assert recorder.n_written == 6
@@ -248,7 +254,7 @@ def test_ground_truth_of_another_body_is_moved_to_the_camera(tiny: Path, tmp_pat
     tiny.rename(bonn)
     for name in ("out", "rgbd_bonn_again"):
         with open_camera(f"camera:replay:{bonn}") as camera:
-            record(camera, tmp_path / name, waits=True)
+            record(camera, tmp_path / name)
     given = open_dataset(str(bonn)).groundtruth
     assert given is not None
     moved, again = open_dataset(str(tmp_path / "out")), open_dataset(str(tmp_path / "rgbd_bonn_again"))
@@ -262,5 +268,5 @@ def test_late_images_are_kept_too(tiny: Path, tmp_path: Path) -> None:
     waits_s: list[float] = []
     camera = ReplayCamera(open_dataset(str(tiny)), Faults(late={3: 2.0}), waits_s.append)
     with camera:
-        assert record(camera, tmp_path / "out", waits=True).n_written == LENGTH
+        assert record(camera, tmp_path / "out").n_written == LENGTH
     assert waits_s == [2.0]

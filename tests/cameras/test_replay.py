@@ -146,7 +146,6 @@ def test_an_unknown_camera_names_those_that_there_are(text: str) -> None:
 
 def test_kinds() -> None:
     assert list(all_kinds()) == ["replay", "realsense", "oak"]
-    assert [kind.waits for kind in all_kinds().values()] == [True, False, False]
     assert kind_of("camera:replay:synthetic:walking").name == "replay"
     assert kind_of("camera:replay?gone=1").name == "replay"
     assert is_camera("camera:oak")

@@ -28,6 +28,7 @@ class Scripted:
     """A camera that delivers what a script says: images, and errors in their place."""
 
     groundtruth = groundtruth_at_camera = None
+    comes_in_time = False
 
     def __init__(self, dataset: Dataset, script: Iterable[int | StillroomError]) -> None:
         self.name, self.camera, self.camera_source = "scripted", dataset.camera, "the script"

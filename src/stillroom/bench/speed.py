@@ -19,7 +19,7 @@ from stillroom.datasets.recording import DatasetView
 from stillroom.evaluation.report import percent
 from stillroom.evaluation.timing import FRAME, StageTime, peak_memory_mb, processor
 from stillroom.pipeline import SILENT, RunProgress
-from stillroom.pipeline.run import LOADING
+from stillroom.pipeline.playback import LOADING
 from stillroom.protocols import Dataset
 
 HEADER = ("stage [ms]", "in frames", "wall median", "p95", "CPU median", "p95", "mean", "units", "units each")

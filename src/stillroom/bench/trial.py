@@ -14,7 +14,9 @@ from stillroom.dense.no_dense_map import NoDenseMapConfig
 from stillroom.evaluation.report import Evaluation, percent
 from stillroom.evaluation.timing import StageClock
 from stillroom.pipeline import SILENT, RunOptions, RunProgress, run
-from stillroom.protocols import Dataset, RunObserver, Segmenter
+from stillroom.pipeline.live import LiveFigures
+from stillroom.protocols import Dataset, RunObserver, Schedule, Segmenter
+from stillroom.schedule import InOrder
 from stillroom.semantics.detector import FrameRange, WithheldSegmenter
 from stillroom.system import System, segmenter_of
 
@@ -69,6 +71,8 @@ class Trial:
         first_boxed: Number of the first image with something potentially dynamic; None where there was none.
         clock: Times of the stages.
         kept: Keypoints judged static in each of the frames behind `boxed`, by the frame's number.
+        n_keyframes: Keyframes that were made, those culled later among them.
+        live: Figures of the live schedule; None for a run in order.
     """
 
     seed: int
@@ -80,6 +84,8 @@ class Trial:
     first_boxed: int | None
     clock: StageClock
     kept: Mapping[int, int] = field(default_factory=dict)
+    n_keyframes: int = 0
+    live: LiveFigures | None = None
 
     @property
     def coverage(self) -> float:
@@ -127,6 +133,8 @@ def attempt(
     progress: RunProgress = SILENT,
     withheld: tuple[FrameRange, ...] = (),
     observe: Callable[[System], RunObserver] | None = None,
+    schedule: Schedule | None = None,
+    speed: float = 0.0,
 ) -> Trial:
     """Run a method over a sequence from a seed, and write nothing.
 
@@ -137,14 +145,17 @@ def attempt(
         progress: Called for each frame.
         withheld: Ranges of image numbers in which the method gets no detections; propagated boxes are withheld too.
         observe: Makes an observer of the system that is run.
+        schedule: When work runs; in order by default.
+        speed: How fast images are played under a live schedule; 0: one after the other.
 
     Raises:
         KeyboardInterrupt: The user stopped it: half a run has no figures to compare.
         StillroomError: Something that the run needs is wrong.
     """
-    segmenter = segmenter_of(config, dataset.camera)
+    schedule = schedule or InOrder()
+    segmenter = segmenter_of(config, dataset.camera, schedule)
     noting = NotingSegmenter(WithheldSegmenter(segmenter, withheld) if withheld else segmenter)
-    options = RunOptions(root=None, pictures=0, segmenter=noting, observe=observe)
+    options = RunOptions(root=None, pictures=0, segmenter=noting, observe=observe, schedule=schedule, speed=speed)
     outcome = run(dataset, replace(config, seed=seed), options, progress)
     if outcome.interrupted:
         raise KeyboardInterrupt
@@ -161,6 +172,8 @@ def attempt(
         first_boxed=min(noting.occupied, default=None),
         clock=outcome.clock,
         kept={result.index: result.n_static for result in boxed},
+        n_keyframes=sum(result.is_keyframe for result in outcome.system.results),
+        live=outcome.live,
     )
 
 

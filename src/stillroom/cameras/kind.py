@@ -17,11 +17,9 @@ class CameraKind:
         open: Returns a camera, not started yet. Given what stands after the name, without the colon; "" where nothing
             does. It raises `MissingExtraError` where its library is absent, and `ConfigError` or `DatasetError` where
             it cannot be what is asked for.
-        waits: Whether its images wait until they are asked for, as those of a recording do; those of a device do not.
     """
 
     name: str
     usage: str
     summary: str
     open: Callable[[str], CameraStream]
-    waits: bool = False

@@ -74,6 +74,7 @@ class Device(Protocol):
 class LiveCamera:
     """A device as a `CameraStream`."""
 
+    comes_in_time = True
     groundtruth = None
     groundtruth_at_camera = None
 

@@ -49,17 +49,16 @@ class TumRecorder:
         n_not_later: Images whose time was not after that of the image before, which no list can name.
     """
 
-    def __init__(self, folder: Path, camera: CameraStream, waits: bool = False, length: int = QUEUE_LENGTH) -> None:
+    def __init__(self, folder: Path, camera: CameraStream, length: int = QUEUE_LENGTH) -> None:
         """Prepare to write.
 
         Args:
             folder: An empty folder.
-            camera: The camera, entered.
-            waits: Whether images can wait for a full queue, as those of a recording can.
+            camera: The camera, entered. One whose images do not come in time waits while the queue is full.
             length: How many images the queue takes.
         """
         self.n_written = self.n_dropped = self.n_not_later = 0
-        self._folder, self._stream, self._waits = folder, camera, waits
+        self._folder, self._stream = folder, camera
         self._queue: queue.Queue[RgbdImage | None] = queue.Queue(length)
         self._writer = threading.Thread(target=self._write_all, name="recorder")
         self._lists: dict[str, TextIO] = {}
@@ -116,7 +115,7 @@ class TumRecorder:
             self.n_not_later += 1
             return False
         try:
-            self._queue.put(image, block=self._waits)
+            self._queue.put(image, block=not self._stream.comes_in_time)
         except queue.Full:
             self.n_dropped += 1
             return False

@@ -27,20 +27,20 @@ def record(
         stillroom record camera:realsense my-room --seconds 60
         stillroom run my-room
     """
-    from stillroom.cameras.registry import is_camera, kind_of, open_camera
+    from stillroom.cameras.registry import is_camera, open_camera
     from stillroom.cli.output import STDERR, FrameBar, say, show_log
     from stillroom.pipeline import recording
 
     show_log()
     if not is_camera(camera):
         raise ConfigError(f"{camera}: is no camera; name one like camera:realsense")
-    opened, waits = open_camera(camera), kind_of(camera).waits
+    opened = open_camera(camera)
     bar = FrameBar(STDERR)
     bar.label = "recording"
     with opened as stream:
         end = "" if frames or seconds else "; Ctrl-C ends it"
         say(f"recording {stream.name} into {folder}; camera: {stream.camera_source}{end}")
-        outcome = recording.record(stream, folder, frames, seconds, waits, bar)
+        outcome = recording.record(stream, folder, frames, seconds, bar)
     _report(outcome)
     if outcome.is_gone:
         raise typer.Exit(ENDED_BY_CAMERA)

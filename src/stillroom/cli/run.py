@@ -1,6 +1,7 @@
 """`stillroom run`."""
 
 from dataclasses import replace
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -50,6 +51,18 @@ ExportMasks = Annotated[
     Path | None,
     typer.Option(metavar="DIR", help="Write each frame's moving pixels here, as a PNG named like its colour image."),
 ]
+ScheduleOption = Annotated[
+    str,
+    typer.Option(
+        metavar="NAME", help="in-order: repeatable, on one thread; live: on worker threads, at a camera's pace."
+    ),
+]
+Speed = Annotated[
+    float | None,
+    typer.Option(
+        min=0, metavar="F", help="Live: how fast a recording is played; 1 by default; 0: no image is dropped."
+    ),
+]
 
 
 def run(
@@ -79,6 +92,8 @@ def run(
     settings: Settings = None,
     config: ConfigFile = None,
     export_masks: ExportMasks = None,
+    schedule: ScheduleOption = "in-order",
+    speed: Speed = None,
     pictures: Annotated[int, typer.Option(min=0, metavar="N", help="How many frames to draw; 0: no pictures.")] = 8,
 ) -> None:
     """Track the camera through a sequence.
@@ -98,6 +113,7 @@ def run(
     from stillroom.datasets.pairing import Pairing
     from stillroom.pipeline import RunOptions, Source
     from stillroom.presets.registry import configure
+    from stillroom.schedule import schedule_of
 
     chosen = configure(method, config, settings or (), seed)
     pairing = Pairing(time_unit, pair_by, max_gap, depth_offset)
@@ -110,8 +126,21 @@ def run(
         asked=map_file.described() if map_file else {},
         map=map_file,
         masks=export_masks,
+        schedule=schedule_of(schedule),
+        speed=_speed(schedule, speed),
     )
     _track(chosen, source, options, tuple(detector_off or ()))
+
+
+def _speed(schedule: str, speed: float | None) -> float:
+    """Return the speed of a recording; one that is asked for without a live schedule is refused."""
+    if speed is None:
+        return 1.0
+    if schedule != "live":
+        raise ConfigError("--speed plays a recording at a camera's pace; it needs --schedule live")
+    if not isfinite(speed):
+        raise ConfigError(f"--speed is {speed}; it must be a number, such as 1, or 0 for no pace at all")
+    return speed
 
 
 def _map_file(path: Path | None, continue_: bool, localize: bool) -> "MapFile | None":
@@ -145,16 +174,15 @@ def _track(chosen: "SlamConfig", source: "Source", options: "RunOptions", detect
     if isinstance(intake, Streamed):
         if detector_off:
             raise ConfigError("--detector-off names images of a recorded sequence; leave it out")
-        ensure_warm(STDERR)  # now: the images of a camera that is started do not wait
+        ensure_warm(STDERR)  # now: images of a camera that is started do not wait
     with intake.started():
         origin = intake.origin
         options = replace(
             options,
             folder=chosen_folder(options.folder) if options.folder is not None else None,
             detector_off=detector_ranges(detector_off, intake.origin) if isinstance(intake, Recorded) else (),
-            segmenter=segmenter_of(
-                chosen, origin.camera
-            ),  # now: a missing file is reported before kernels are compiled
+            # Now: a missing file is reported before kernels are compiled.
+            segmenter=segmenter_of(chosen, origin.camera, options.schedule),
         )
         n_images = "" if intake.n_images is None else f"{intake.n_images} images; "
         say(f"{chosen.method} on {origin.name}: {n_images}camera: {origin.camera_source}")
@@ -203,6 +231,8 @@ def _sentences(outcome: "RunOutcome") -> list[str]:
         rate = 1000.0 / cost.wall_mean_ms
         text += f"; a frame took {cost.wall_median_ms:.1f} ms (median), {rate:.1f} frames/s on average"
     sentences.append(text)
+    if outcome.live is not None:
+        sentences += outcome.live.sentences()
     if outcome.map_file is not None:
         sentences.append(f"map file: {outcome.map_file}")
     if outcome.masks is not None:

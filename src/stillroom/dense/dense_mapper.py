@@ -84,12 +84,13 @@ class FusedViews:
             with_culled: Whether to include culled keyframes, by the pose of their parent.
         """
         views: I64 = np.flatnonzero(self._added_at[: self._n] != NOT_FUSED)
-        alive = world.keyframes.is_alive[self._keyframe[views]]
-        if not with_culled:
-            views, alive = views[alive], alive[alive]
-        poses = world.keyframes.T_world_cam[self._keyframe[views]] @ self._T_keyframe_cam[views]
-        for i in np.flatnonzero(~alive):
-            poses[i] = self.pose_now(int(views[i]), world)
+        with world.lock:
+            alive = world.keyframes.is_alive[self._keyframe[views]]
+            if not with_culled:
+                views, alive = views[alive], alive[alive]
+            poses = world.keyframes.T_world_cam[self._keyframe[views]] @ self._T_keyframe_cam[views]
+            for i in np.flatnonzero(~alive):
+                poses[i] = self.pose_now(int(views[i]), world)
         change = se3.inverse(self._T_world_cam[views]) @ poses
         moved_m = np.linalg.norm(change[:, :3, 3], axis=1) + TYPICAL_DEPTH_M * se3.angle_rad(change)
         order = np.argsort(-moved_m, kind="stable")
@@ -225,7 +226,9 @@ class DenseMapper:
             shown &= rows[:, SCORE] > 0
         if self.world.n_submaps > 1:
             centres_m = (unpack(key) + 0.5) * config.voxel_m
-            shown &= submaps.lies_in(submaps.main(self.world), centres_m)
+            with self.world.lock:
+                main = submaps.main(self.world)
+            shown &= submaps.lies_in(main, centres_m)
         return extract(key[shown], rows[shown], config.voxel_m, config.layer_voxels)
 
     def _fuse(self, view: int, image: RgbdImage, excluded: Bool | None, T_world_cam: F64) -> None:

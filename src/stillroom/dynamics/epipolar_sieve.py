@@ -64,7 +64,7 @@ class EpipolarSieve:
         off_line = inside[matches.keypoint]
         off_line[off_line] = self.is_off_its_line(question, matches.keep(off_line))
         is_static[matches.keypoint[off_line]] = False
-        return Motion(is_static, question.known.movable)
+        return Motion(is_static, question.found.movable)
 
     def remember(self, frame: Frame, T_cam_world: F64, keyframe: int) -> None:
         """Add the depth image to the history."""

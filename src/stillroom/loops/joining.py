@@ -74,43 +74,52 @@ class SubmapJoiner:
 
     def join(self, keyframe: int) -> bool:
         """Check whether a keyframe shows a place of another sub-map; if so, merge the younger into the older."""
-        table, index = self.world.keyframes, self.places.index
-        if not self.config.enabled or self.world.n_submaps < 2 or keyframe not in index:
+        if not self.config.enabled:
             return False
+        with self.world.lock.between_frames():
+            place = self._joined(keyframe)
+        if place is None:
+            return False
+        self.joined.append(place)
+        for follow in self._after:
+            follow()
+        return True
+
+    def _joined(self, keyframe: int) -> Loop | None:
+        """Merge where a keyframe shows a place of another sub-map, and return the place; None where it shows none."""
+        table, index = self.world.keyframes, self.places.index
+        if self.world.n_submaps < 2 or keyframe not in index:
+            return None
         elsewhere = table.is_alive & (table.submap != table.submap[keyframe])
         if not elsewhere.any():
-            return False
+            return None
         for candidate in self.places.candidates(index.bag(keyframe), elsewhere, self.config.n_places):
             place = self._verifier.verify(keyframe, int(candidate), index, self.world)
             if place is not None and self._join(place):
-                self.joined.append(place)
-                for follow in self._after:
-                    follow()
-                return True
-        return False
+                return place
+        return None
 
     def _join(self, place: Loop) -> bool:
         """Merge for a place, and undo it where too many earlier inliers are lost."""
         world = self.world
-        with world.lock:
-            before = Snapshot(world)
-            kept = lay_together(place, world)
-            neighbours = world.covisibility.neighbours
-            there = [place.candidate, *neighbours(place.candidate)]
-            here = [place.keyframe, *neighbours(place.keyframe)]
-            fuse_group(place, there, here, self.camera, world)
-            links = LinkChange.since(before, world)
-            members = np.flatnonzero(world.keyframes.is_alive & (world.keyframes.submap == kept))
-            bundle = GlobalBundle(members, world)
-            bundle.commit(bundle.solve(self.camera, self._adjust), world)
-            verdict = judge(before, links, world, self.camera)
-            right = verdict.lost_share <= self.config.max_lost_share
-            right &= verdict.kept_share >= self.config.min_kept_share
-            if right:
-                T_world_old = before.T_world_cam[place.keyframe]
-                world.jumps.append(world.keyframes.T_world_cam[place.keyframe] @ se3.inverse(T_world_old))
-            else:
-                before.restore(world)
+        before = Snapshot(world)
+        kept = lay_together(place, world)
+        neighbours = world.covisibility.neighbours
+        there = [place.candidate, *neighbours(place.candidate)]
+        here = [place.keyframe, *neighbours(place.keyframe)]
+        fuse_group(place, there, here, self.camera, world)
+        links = LinkChange.since(before, world)
+        members = np.flatnonzero(world.keyframes.is_alive & (world.keyframes.submap == kept))
+        bundle = GlobalBundle(members, world)
+        bundle.commit(bundle.solve(self.camera, self._adjust), world)
+        verdict = judge(before, links, world, self.camera)
+        right = verdict.lost_share <= self.config.max_lost_share
+        right &= verdict.kept_share >= self.config.min_kept_share
+        if right:
+            T_world_old = before.T_world_cam[place.keyframe]
+            world.jumps.append(world.keyframes.T_world_cam[place.keyframe] @ se3.inverse(T_world_old))
+        else:
+            before.restore(world)
         logger.info(
             "keyframe %d shows the place of %d in another sub-map, %d points: %s, %s",
             place.keyframe,

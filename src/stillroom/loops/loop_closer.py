@@ -118,14 +118,20 @@ class LoopCloser:
 
     def close(self, keyframe: int) -> bool:
         """Check whether a keyframe, the newest, closes a loop, and correct the map; return whether it did."""
+        with self.world.lock:
+            loop = self._found(keyframe)
+        return loop is not None and self.correct(loop)
+
+    def _found(self, keyframe: int) -> Loop | None:
+        """Return the loop that a keyframe closes; None where it closes none."""
         if not self.world.keyframes.is_alive[keyframe]:
-            return False
+            return None
         for candidate in self._within_sight(keyframe, self._detector.candidates(keyframe)):
             loop = self._verifier.verify(keyframe, candidate, self.places.index, self.world)
             if loop is not None and self._is_plausible(loop):
                 self._detector.pause(keyframe)
-                return self.correct(loop)
-        return False
+                return loop
+        return None
 
     def _is_plausible(self, loop: Loop) -> bool:
         """Return whether the allowed drift explains the loop."""
@@ -166,31 +172,36 @@ class LoopCloser:
     def correct(self, loop: Loop) -> bool:
         """Correct the map for a loop; undo it where too many earlier inliers are lost."""
         world = self.world
-        with world.lock:
+        with world.lock.between_frames():
             before = Snapshot(world)
             correction = close_loop(loop, world, self.camera, self._optimize, self.config.essential_weight)
             links = LinkChange.since(before, world)
             bundle = self._bundle_after(correction)
+            self._jump(loop, before.T_world_cam[loop.keyframe])
         n_keyframes = len(world.keyframes)
         result = bundle.solve(
             self.camera, self._adjust, lambda: len(world.keyframes) >= n_keyframes + self.config.abort_after
         )
-        with world.lock:
+        with world.lock.between_frames():
+            T_world_corrected = world.keyframes.T_world_cam[loop.keyframe].copy()
             bundle.commit(result, world)
             verdict = judge(before, links, world, self.camera)
             right = self._accepts(verdict)
             if not right:
                 before.restore(world)
+            self._jump(loop, T_world_corrected)
         logger.info("loop %d – %d: %s, %s", loop.keyframe, loop.candidate, verdict, "closed" if right else "undone")
         if not right:
             self.refused.append((loop, verdict))
             return False
         self.closed.append(loop)
-        T_world_old = before.T_world_cam[loop.keyframe]
-        world.jumps.append(world.keyframes.T_world_cam[loop.keyframe] @ se3.inverse(T_world_old))
         for follow in self._after:
             follow()
         return True
+
+    def _jump(self, loop: Loop, T_world_before: F64) -> None:
+        """Record how far the keyframe has moved from a pose (4, 4), for all that stores poses of its surroundings."""
+        self.world.jumps.append(self.world.keyframes.T_world_cam[loop.keyframe] @ se3.inverse(T_world_before))
 
     def _bundle_after(self, correction: Correction) -> GlobalBundle:
         config = self.config

@@ -8,12 +8,13 @@ from stillroom.bounds import bounded
 from stillroom.data.map import Map
 from stillroom.data.result import Tracked
 from stillroom.geometry import se3
+from stillroom.geometry.arrays import I32, I64
 from stillroom.geometry.camera import Camera
 from stillroom.mapping.culling import cull_keyframes, cull_points, on_trial
 from stillroom.mapping.fusing import fuse_neighbourhood
 from stillroom.mapping.new_points import by_triangulation, from_depth
 from stillroom.optimize import observations
-from stillroom.optimize.bundle import BundleAdjuster, BundleConfig, BundleProblem
+from stillroom.optimize.bundle import BundleAdjuster, BundleConfig, BundleProblem, BundleResult
 from stillroom.protocols import Parts
 
 # Bundle adjustment of a part of the map: a keyframe, its covisible ones and all that they see, or the whole map.
@@ -24,7 +25,9 @@ def adjust_locally(keyframe: int, max_keyframes: int, camera: Camera, adjust: Bu
 
     Observations that do not fit afterwards are removed.
     """
-    adjust_these([keyframe, *world.covisibility.neighbours(keyframe, max_keyframes - 1)], camera, adjust, world)
+    with world.lock:
+        around = world.covisibility.neighbours(keyframe, max_keyframes - 1)
+    adjust_these([keyframe, *around], camera, adjust, world)
 
 
 def adjust_all(camera: Camera, adjust: BundleAdjuster, world: Map) -> None:
@@ -36,6 +39,43 @@ def adjust_these(free: list[int], camera: Camera, adjust: BundleAdjuster, world:
     """Adjust some keyframes and their points; others that see these are fixed, and so is a sub-map's first."""
     if not free:
         return
+    with world.lock:
+        part = _part_around(free, world)
+    if part is None:
+        return
+    result = adjust(part.problem, camera)  # without the lock: tracking goes on, and may add a keyframe
+    with world.lock:
+        part.commit(result, world)
+
+
+@dataclass(frozen=True)
+class _Part:
+    """A part of the map to adjust: copies of what it takes, and where the result belongs.
+
+    Attributes:
+        problem: What to adjust.
+        moved: Which of its keyframes (M,) move.
+        keyframes: Their ids (M,).
+        point_ids, rows: Its points (P,) and observations (O,).
+    """
+
+    problem: BundleProblem
+    moved: I64
+    keyframes: I64
+    point_ids: I32
+    rows: I32
+
+    def commit(self, result: BundleResult, world: Map) -> None:
+        """Write the result to the map, and remove observations that do not fit."""
+        points = world.points
+        world.keyframes.T_world_cam[self.keyframes] = se3.inverse(result.T_cam_world[self.moved])
+        points.position_m[self.point_ids] = result.points_world_m
+        world.remove_observations(self.rows[~result.is_inlier])
+        world.refresh_geometry(self.point_ids[points.is_alive[self.point_ids]])
+
+
+def _part_around(free: list[int], world: Map) -> _Part | None:
+    """Copy what adjusting some keyframes takes; None where there is nothing to adjust."""
     table, points, keyframes = world.keypoints, world.points, world.keyframes
     point_ids = world.points_seen_by(np.array(free))
     place, rows = world.observations(point_ids)
@@ -45,7 +85,7 @@ def adjust_these(free: list[int], camera: Camera, adjust: BundleAdjuster, world:
     index_of[involved] = np.arange(len(involved))
     is_fixed = ~np.isin(involved, free) | (keyframes.parent[involved] < 0)
     if is_fixed.all() or len(rows) == 0:
-        return
+        return None
     if not is_fixed.any():
         is_fixed[0] = True  # One keyframe must be fixed (gauge freedom): the oldest.
     problem = BundleProblem(
@@ -58,12 +98,8 @@ def adjust_these(free: list[int], camera: Camera, adjust: BundleAdjuster, world:
         weights=observations.weights(table.octave[rows], table.right_px[rows], world.scales.inverse_variances),
         p_static=table.p_static[rows],
     )
-    result = adjust(problem, camera)
     moved = np.flatnonzero(~is_fixed)
-    keyframes.T_world_cam[involved[moved]] = se3.inverse(result.T_cam_world[moved])
-    points.position_m[point_ids] = result.points_world_m
-    world.remove_observations(rows[~result.is_inlier])
-    world.refresh_geometry(point_ids[points.is_alive[point_ids]])
+    return _Part(problem, moved, involved[moved], point_ids, rows)
 
 
 @dataclass(frozen=True)
@@ -113,10 +149,12 @@ class LocalMapper:
         """Add a frame as a keyframe, with points from the depth of its static keypoints; return its id."""
         assert tracked.T_world_cam is not None
         self._has_inserted = True
+        # Points may have been joined or removed since they were matched, while tracking waited for a worker.
+        point_ids = self.world.current_ids(tracked.point_ids)
         keyframe = self.world.add_keyframe(
             tracked.frame,
             tracked.T_world_cam,
-            tracked.point_ids,
+            point_ids,
             tracked.is_static,
             tracked.reference_keyframe,
             tracked.motion.p_static,
@@ -129,18 +167,22 @@ class LocalMapper:
     def refine(self, keyframe: int) -> None:
         """Cull, triangulate, fuse, adjust and cull around a new keyframe."""
         world = self.world
-        seen = world.points_of(keyframe)
-        world.refresh(seen[seen >= 0])
-        self._on_trial = cull_points(self._on_trial, keyframe, world)
-        neighbours = world.covisibility.neighbours(keyframe, self.config.n_neighbours)
+        with world.lock:
+            seen = world.points_of(keyframe)
+            world.refresh(seen[seen >= 0])
+            self._on_trial = cull_points(self._on_trial, keyframe, world)
+            neighbours = world.covisibility.neighbours(keyframe, self.config.n_neighbours)
         if not neighbours:
             return
-        new = by_triangulation(keyframe, neighbours, self.camera, world)
-        self._on_trial = np.append(self._on_trial, new)
-        fuse_neighbourhood(keyframe, self.camera, world)
+        with world.lock:
+            new = by_triangulation(keyframe, neighbours, self.camera, world)
+            self._on_trial = np.append(self._on_trial, new)
+        with world.lock:
+            fuse_neighbourhood(keyframe, self.camera, world)
         adjust_locally(keyframe, self.config.max_bundle_keyframes, self.camera, self._adjust, world)
         if self.config.cull_keyframes:
-            cull_keyframes(keyframe, self._close_depth_m, world)
+            with world.lock:
+                cull_keyframes(keyframe, self._close_depth_m, world)
 
     def finish(self) -> None:
         """Run full bundle adjustment: observations of later keyframes improve the earlier ones.

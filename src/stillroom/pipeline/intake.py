@@ -47,6 +47,10 @@ class Intake(Protocol):
     def is_reversed(self) -> bool:
         """Whether a recording is played backwards."""
 
+    @property
+    def comes_in_time(self) -> bool:
+        """Whether images come at their own times, as from a camera."""
+
     def started(self) -> AbstractContextManager[object]:
         """Return a context in which images come: a camera is started, and stopped after it."""
 
@@ -80,6 +84,11 @@ class Recorded:
         """Whether they are played backwards."""
         return self.origin.is_reversed
 
+    @property
+    def comes_in_time(self) -> bool:
+        """Return that they do not: all are there."""
+        return False
+
     def started(self) -> AbstractContextManager[object]:
         """Return a context that does nothing: a recording is there."""
         return nullcontext()
@@ -112,6 +121,11 @@ class Streamed:
     origin: CameraStream
     n_images: None = None
     is_reversed: bool = False
+
+    @property
+    def comes_in_time(self) -> bool:
+        """Whether they do."""
+        return self.origin.comes_in_time
 
     def started(self) -> AbstractContextManager[object]:
         """Return the camera, which starts when it is entered.

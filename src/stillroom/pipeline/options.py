@@ -13,9 +13,11 @@ from stillroom.errors import ConfigError
 from stillroom.evaluation.report import Evaluation
 from stillroom.evaluation.timing import StageClock
 from stillroom.pipeline.intake import Intake, Recorded, Streamed
+from stillroom.pipeline.live import LiveFigures
 from stillroom.pipeline.ornaments import Ornaments
 from stillroom.pipeline.untracked import Seen, likely_reason
-from stillroom.protocols import Dataset, RunObserver, Segmenter
+from stillroom.protocols import Dataset, RunObserver, Schedule, Segmenter
+from stillroom.schedule import InOrder
 from stillroom.session.map_file import MapFile
 from stillroom.session.plausibility import Doubt
 from stillroom.system import System
@@ -49,6 +51,7 @@ class RunOutcome:
         masks: The folder of the masks of dynamic pixels of each frame; None if none were written.
         doubts: What is probably wrong with calibration, depth or times; each was said in the log.
         seen: What the images were like.
+        live: Delays, dropped images and workers of a live run; None of one in order.
     """
 
     method: str
@@ -68,6 +71,7 @@ class RunOutcome:
     masks: Path | None = None
     doubts: list[Doubt] = field(default_factory=list)
     seen: Seen = field(default_factory=Seen)
+    live: LiveFigures | None = None
 
     @property
     def n_bad(self) -> int:
@@ -169,6 +173,8 @@ class RunOptions:
         asked: Further entries to note there.
         map: The map file to make, to extend, or to localize in.
         masks: The folder into which the mask of dynamic pixels of each frame is written; None to write none.
+        schedule: When work runs; that of `segmenter` too. A live one plays the images at their own times.
+        speed: Under a live schedule, seconds of a recording that are played in one; 0: one image after the other.
     """
 
     root: Path | None = Path("results")
@@ -181,6 +187,8 @@ class RunOptions:
     asked: dict[str, Any] = field(default_factory=dict)
     map: MapFile | None = None
     masks: Path | None = None
+    schedule: Schedule = field(default_factory=InOrder)
+    speed: float = 1.0
 
 
 def detector_ranges(texts: Iterable[str], dataset: Dataset) -> tuple[tuple[int, int], ...]:

@@ -41,7 +41,6 @@ def record(
     folder: Path,
     n_frames: int | None = None,
     seconds: float | None = None,
-    waits: bool = False,
     progress: RunProgress = SILENT,
 ) -> RecordingOutcome:
     """Keep the images of a camera as a folder in TUM's layout, with its calibration.
@@ -53,7 +52,6 @@ def record(
         folder: A new or empty folder.
         n_frames: End after so many images.
         seconds: End with the first image that was taken so long after the first one [s].
-        waits: Whether images can wait to be written, as those of a recording can.
         progress: Receives the progress.
 
     Raises:
@@ -65,7 +63,7 @@ def record(
     if seconds is not None and not seconds > 0:
         raise ConfigError(f"seconds is {seconds}; it must be a positive number")
     session = _Session(n_frames, seconds)
-    with StopRequest() as stop, TumRecorder(chosen_folder(folder), camera, waits) as recorder, ExitStack() as shown:
+    with StopRequest() as stop, TumRecorder(chosen_folder(folder), camera) as recorder, ExitStack() as shown:
         progress.start(n_frames)
         shown.callback(progress.finish)
         while not stop.asked and session.next(camera, recorder):

@@ -55,7 +55,8 @@ FINAL, ONLINE, KEYFRAMES = "trajectory.tum", "trajectory_online.tum", "keyframes
 FRAMES, TIMING, METRICS, PICTURES = "frames.csv", "timing.csv", "metrics.json", "pictures"
 CLOUD = "cloud.ply"
 TRUTH, TRUTH_CAMERA = "groundtruth.tum", "groundtruth_camera.tum"
-UNREADABLE = "unreadable"
+UNREADABLE, DROPPED = "unreadable", "dropped"
+"""States of images that were not tracked: they cannot be read, or were due while tracking was late."""
 
 
 # Where results lie: a new folder for each run, and a link to the latest.
@@ -225,7 +226,10 @@ def write_results(folder: Path, outcome: RunOutcome, truth: Truth | None) -> Den
     with attempts.file(folder / METRICS):
         write_run_metrics(folder, outcome)
     with attempts.file(folder / FRAMES):
-        _write_frames(folder / FRAMES, system, outcome.bad)
+        dropped = [] if outcome.live is None else outcome.live.dropped
+        without_pose = [(number, time_s, UNREADABLE) for number, time_s in outcome.bad]
+        without_pose += [(arrival.number, arrival.time_s, DROPPED) for arrival in dropped]
+        _write_frames(folder / FRAMES, system, without_pose)
     with attempts.file(folder / TRUTH):
         if truth is not None:
             truth.write(folder)
@@ -286,7 +290,7 @@ def count_frames(folder: Path) -> int | None:
         return None
 
 
-def _write_frames(path: Path, system: System, bad: Sequence[tuple[int, float]]) -> None:
+def _write_frames(path: Path, system: System, without_pose: Sequence[tuple[int, float, str]]) -> None:
     submap = system.map.keyframes.submap
     rows: list[tuple[Any, ...]] = [
         (
@@ -303,7 +307,8 @@ def _write_frames(path: Path, system: System, bad: Sequence[tuple[int, float]]) 
         for r in system.results
     ]
     rows += [
-        (number, "" if isnan(time_s) else f"{time_s:.6f}", UNREADABLE, 0, 0, 0, 0, "", "") for number, time_s in bad
+        (number, "" if isnan(time_s) else f"{time_s:.6f}", why, 0, 0, 0, 0, "", "")
+        for number, time_s, why in without_pose
     ]
     header = ("frame", "timestamp_s", "state", "keypoints", "static", "inliers", "is_keyframe", "submap", "recovery")
     text = StringIO(newline="")
@@ -333,6 +338,7 @@ def _run_figures(outcome: RunOutcome) -> dict[str, Any]:
         "static_mean": _mean([r.n_static for r in tracked]),
         "inliers_mean": _mean([r.n_inliers for r in tracked]),
         "frame_ms": None if frame_time is None else asdict(frame_time),
+        "live": None if outcome.live is None else outcome.live.to_dict(),
         "peak_memory_mb": None if np.isnan(peak_mb) else peak_mb,
     }
 

@@ -1,6 +1,7 @@
 """Run a method over a sequence."""
 
 import logging
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,15 +13,19 @@ from stillroom.data.result import FrameSummary, TrackingState
 from stillroom.data.trajectory import Trajectory
 from stillroom.datasets.recording import groundtruth_flaw
 from stillroom.errors import CameraError, ConfigError, FrameError
+from stillroom.geometry.camera import Camera
 from stillroom.pipeline import results
 from stillroom.pipeline.evaluating import evaluate_trajectory
 from stillroom.pipeline.intake import Intake, intake_of
+from stillroom.pipeline.live import LiveFigures
 from stillroom.pipeline.options import RunOptions, RunOutcome
 from stillroom.pipeline.ornaments import Ornamental
+from stillroom.pipeline.playback import InTurn, Paced, Playback
 from stillroom.pipeline.plots import draw_maps, draw_plots
 from stillroom.pipeline.stop_request import StopRequest
 from stillroom.pipeline.untracked import Seen
-from stillroom.protocols import Dataset, RunObserver
+from stillroom.protocols import Dataset, RunObserver, Segmenter
+from stillroom.schedule import LiveSchedule
 from stillroom.semantics.detector import withhold
 from stillroom.semantics.mask_files import MaskFilesConfig
 from stillroom.session.map_file import MapUse
@@ -33,7 +38,6 @@ from stillroom.viz.recorder import PictureRecorderConfig
 
 log = logging.getLogger(__name__)
 MAX_UNREADABLE = 10
-LOADING = "loading"
 
 
 # Progress of a run, and its log.
@@ -132,7 +136,8 @@ def run(
         origin.camera,
         map=None if options.map is None else options.map.path,
         map_use=MapUse.NEW if options.map is None else options.map.use,
-        segmenter=withhold(options.segmenter or segmenter_of(config, origin.camera), options.detector_off),
+        segmenter=withhold(_segmenter(config, origin.camera, options), options.detector_off),
+        schedule=options.schedule,
         sequence=origin.name,
     )
     with StopRequest() as stop, slam:
@@ -147,34 +152,65 @@ def run(
             slam.observe(MaskWriter(options.masks))
         if options.observe is not None:
             slam.observe(options.observe(slam.system))
-        with _concluded_in_any_case(outcome, intake, stop, options.pictures > 0), slam:
+        with _concluded_in_any_case(outcome, intake, stop, options.pictures > 0), _until_idle(outcome), slam:
             progress.start(intake.n_images)
             try:
-                _track_all(intake, slam, outcome, stop, progress)
+                with _playback(intake, slam, outcome, options) as playback:
+                    _track_all(playback, slam, outcome, stop, progress)
             finally:
                 progress.finish()
     return outcome
 
 
-def _track_all(intake: Intake, slam: Slam, outcome: RunOutcome, stop: StopRequest, progress: RunProgress) -> None:
+def _segmenter(config: SlamConfig, camera: Camera, options: RunOptions) -> Segmenter:
+    return options.segmenter or segmenter_of(config, camera, options.schedule)
+
+
+def _playback(intake: Intake, slam: Slam, outcome: RunOutcome, options: RunOptions) -> Playback:
+    """Return what delivers the images; under a live schedule begin to count what it takes."""
+    if not isinstance(options.schedule, LiveSchedule):
+        return InTurn(intake, slam.clock)
+    paced = Paced(intake, slam.clock, options.speed)
+    outcome.live = LiveFigures(options.speed, options.schedule, paced.dropped)
+    return paced
+
+
+def _track_all(playback: Playback, slam: Slam, outcome: RunOutcome, stop: StopRequest, progress: RunProgress) -> None:
     remarks = Remarks(outcome.seen)
+    n_dropped = 0
     with _ended_by_camera(outcome):
-        for arrival in intake.arrivals():
-            if stop.asked:
-                outcome.interrupted = True
-                return
+        for delivered in playback.images(lambda: stop.asked):
+            while n_dropped < len(playback.dropped):
+                n_dropped += 1
+                outcome.n_given += 1
+                progress.frame(None)
             outcome.n_given += 1
+            arrival, image = delivered.arrival, delivered.image
             try:
-                with slam.clock.stage(LOADING):
-                    image = arrival.load()
-                result = slam.process(image)
+                if isinstance(image, FrameError):
+                    raise image
+                result = slam.process(image, playback.following())
             except FrameError as error:
                 outcome.bad.append((arrival.number, arrival.time_s))
                 remarks.unreadable(arrival.number, error)
                 progress.frame(None)
                 continue
+            if outcome.live is not None:
+                outcome.live.delays_s.append(time.perf_counter() - delivered.due_s)
             remarks.frame(image, result)
             progress.frame(result)
+        outcome.interrupted |= stop.asked
+
+
+@contextmanager
+def _until_idle(outcome: RunOutcome) -> Iterator[None]:
+    """Take the time of the block: a system is closed in it when all workers are done."""
+    start_s = time.perf_counter()
+    try:
+        yield
+    finally:
+        if outcome.live is not None:
+            outcome.live.wall_s = time.perf_counter() - start_s
 
 
 @contextmanager
@@ -234,6 +270,8 @@ def _evaluate(outcome: RunOutcome, trajectory: Trajectory, truth: results.Truth 
         for doubt in doubts_of_figures(outcome.evaluation):
             log.warning("%s", doubt)
             outcome.doubts.append(doubt)
+    if outcome.live is not None:  # in order the two differ by what mapping corrected later, and only the final is given
+        outcome.live.online = evaluate_trajectory(outcome.system.online_trajectory(), truth, outcome.n_recorded)
 
 
 def _folder(name: str, config: SlamConfig, options: RunOptions) -> Path | None:

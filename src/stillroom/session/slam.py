@@ -22,7 +22,8 @@ from stillroom.errors import ConfigError, FrameError, MapError, StillroomError
 from stillroom.evaluation.timing import FRAME, StageClock
 from stillroom.geometry.camera import Camera
 from stillroom.presets.registry import configure
-from stillroom.protocols import RunObserver, Segmenter
+from stillroom.protocols import RunObserver, Schedule, Segmenter
+from stillroom.schedule import LiveSchedule, ScheduleName, schedule_of
 from stillroom.session import one_thread
 from stillroom.session.map_file import MapFile, MapUse, OpenedMap, opened_map, session_of
 from stillroom.session.plausibility import DepthRange, Doubt, ImageTimes, doubts_of_camera, require_possible
@@ -66,6 +67,7 @@ class Slam:
         map_use: MapUse | str = MapUse.NEW,
         segmenter: Segmenter | None = None,
         observers: Iterable[RunObserver] = (),
+        schedule: str | Schedule = ScheduleName.IN_ORDER,
         sequence: str = "images from Python",
     ) -> None:
         """Initialise the system.
@@ -80,6 +82,9 @@ class Slam:
                 against the map and writes nothing.
             segmenter: Finds what is potentially dynamic, in place of the method's own segmenter.
             observers: Called with each frame after it was tracked.
+            schedule: "in-order" runs everything on the caller's thread, and the same images give the same result byte
+                for byte; "live" has the papers' threads: what may move, mapping and the dense map are done by workers
+                while tracking goes on.
             sequence: Name of the images in a map file and in messages.
 
         Raises:
@@ -92,6 +97,8 @@ class Slam:
         file = None if map is None else MapFile(Path(map), _map_use(map_use))
         if file is None and _map_use(map_use) is not MapUse.NEW:
             raise ConfigError(f"map_use is '{map_use}', which needs a map: name its file")
+        schedule = schedule_of(schedule) if isinstance(schedule, str) else schedule
+        self._is_live = isinstance(schedule, LiveSchedule)
         config = _configured(method, settings, seed)
         self.config = config if file is None else file.fitting(config)
         self.camera, self.clock = camera, StageClock()
@@ -105,6 +112,7 @@ class Slam:
                 self.config,
                 camera,
                 segmenter,
+                schedule,
                 observer=self._newest,
                 clock=self.clock,
                 world=self._opened.world,
@@ -124,11 +132,12 @@ class Slam:
             log.warning("%s", each)
             self.doubts.append(each)
 
-    def process(self, image: RgbdImage) -> FrameResult:
+    def process(self, image: RgbdImage, following: RgbdImage | None = None) -> FrameResult:
         """Track one image.
 
         Args:
             image: The next one in order of time.
+            following: The one after it, where it is there already: under the live schedule workers begin it.
 
         Returns:
             The pose as known now, what moves, and how tracking stands.
@@ -148,7 +157,7 @@ class Slam:
         self.doubt(self._depths.add(image.depth_m))
         is_first = len(self.system.results) == 0
         with self.clock.stage(FRAME), said_when_compiling() if is_first else nullcontext():
-            result = self._repeated(image) or self.system.process(image)
+            result = self._repeated(image) or self._tracked(image, following)
         self.clock.next_frame(image.index)
         self._newest.show(self._observers)
         return result
@@ -241,6 +250,20 @@ class Slam:
         result = self.system.repeat(result, image)
         self._newest.on_frame(replace(tracked, frame=replace(tracked.frame, image=image)), semantics, result)
         return result
+
+    def _tracked(self, image: RgbdImage, following: RgbdImage | None) -> FrameResult:
+        if following is not None and self._is_live and self._may_follow(image, following):
+            self.system.begin(image)
+            self.system.begin(following)
+        return self.system.process(image)
+
+    def _may_follow(self, image: RgbdImage, following: RgbdImage) -> bool:
+        """Return whether an image will be tracked after this one: it is neither refused nor a repetition."""
+        try:
+            self._require(following)
+        except FrameError:
+            return False
+        return following.index >= 0 and following.timestamp_s > image.timestamp_s and not _is_same(image, following)
 
     def _finish(self) -> None:
         with self.clock.stage(FRAME):

@@ -27,6 +27,7 @@ class Changes:
         self._world = world
         self._known, self._present = _Poses.of(world, 0), _Poses.of(world, 0)
         self._loops: list[tuple[int, int]] = []
+        self._present_loops: list[tuple[int, int]] = []
         self.write_again()
 
     def forget(self) -> None:
@@ -51,10 +52,10 @@ class Changes:
     def committed(self) -> None:
         """Take what `write` wrote last as written for good."""
         self._known = self._present
-        self._loops = list(self._world.loop_edges)
+        self._loops = self._present_loops
 
-    def write(self, database: sqlite3.Connection) -> None:
-        """Write the changes in a transaction that is open; `committed` or `write_again` must follow."""
+    def write(self, database: "Statements") -> None:
+        """Write the changes, with the map's lock held; `committed` or `write_again` must follow."""
         present = self._present = _Poses.of(self._world, len(self._world.keyframes))
         self._write_keyframes(database, present)
         self._write_observations(database, present)
@@ -62,7 +63,7 @@ class Changes:
         self._write_edges(database)
         self._write_loops(database)
 
-    def _write_keyframes(self, database: sqlite3.Connection, present: "_Poses") -> None:
+    def _write_keyframes(self, database: "Statements", present: "_Poses") -> None:
         table, keypoints, n_known = self._world.keyframes, self._world.keypoints, len(self._known)
         for k in range(n_known, len(present)):
             row = float(table.timestamp_s[k]), int(table.image_index[k]), int(table.n_rows[k])
@@ -81,7 +82,7 @@ class Changes:
             blobs = [packed.pack(getattr(keypoints, name)[rows]) for name, packed in KEYPOINTS.items()]
             insert(database, "keypoints", [(k, *blobs)])
 
-    def _write_observations(self, database: sqlite3.Connection, present: "_Poses") -> None:
+    def _write_observations(self, database: "Statements", present: "_Poses") -> None:
         table = self._world.keypoints
         for k in _taken(self._world.keyframes.is_unsaved).tolist():
             if not present.is_alive[k]:
@@ -92,7 +93,7 @@ class Changes:
             older_row = OBSERVATIONS["older_row"].pack(table.next_row[rows])
             insert(database, "observations", [(k, point, older_row)])
 
-    def _write_points(self, database: sqlite3.Connection) -> None:
+    def _write_points(self, database: "Statements") -> None:
         points = self._world.points
         database.execute("UPDATE map SET n_points = ?", (len(points),))
         blocks = np.unique(_taken(points.is_unsaved) // POINTS_A_BLOCK)
@@ -107,7 +108,7 @@ class Changes:
         insert(database, "points", [row for row in rows if len(row[1]) > 0])
         database.executemany("DELETE FROM points WHERE block = ?", [(row[0],) for row in rows if len(row[1]) == 0])
 
-    def _write_edges(self, database: sqlite3.Connection) -> None:
+    def _write_edges(self, database: "Statements") -> None:
         graph = self._world.covisibility
         changed = sorted(graph.unsaved)
         graph.unsaved.clear()
@@ -117,14 +118,35 @@ class Changes:
             edges = [(min(k, other), max(k, other), weight) for other, weight in graph.edges_of(k).items()]
             insert(database, "covisibility", edges)
 
-    def _write_loops(self, database: sqlite3.Connection) -> None:
-        loops = self._world.loop_edges
+    def _write_loops(self, database: "Statements") -> None:
+        loops = self._present_loops = list(self._world.loop_edges)
         if loops != self._loops:
             database.execute("DELETE FROM loops")
             insert(database, "loops", [(place, int(known), int(back)) for place, (known, back) in enumerate(loops)])
 
 
-def insert(database: sqlite3.Connection, table: str, rows: Iterable[tuple[Any, ...]]) -> None:
+class Statements:
+    """SQL statements with copies of their values, so that the map is not held up while a disk is written."""
+
+    def __init__(self) -> None:
+        """Start with none."""
+        self._all: list[tuple[str, list[tuple[Any, ...]]]] = []
+
+    def execute(self, statement: str, values: tuple[Any, ...] = ()) -> None:
+        """Add a statement with one row of values."""
+        self._all.append((statement, [values]))
+
+    def executemany(self, statement: str, rows: Iterable[tuple[Any, ...]]) -> None:
+        """Add a statement with many rows of values."""
+        self._all.append((statement, list(rows)))
+
+    def execute_on(self, database: sqlite3.Connection) -> None:
+        """Execute all of them, in order."""
+        for statement, rows in self._all:
+            database.executemany(statement, rows)
+
+
+def insert(database: "sqlite3.Connection | Statements", table: str, rows: Iterable[tuple[Any, ...]]) -> None:
     """Write rows into a table, over those of the same key."""
     rows = list(rows)
     if rows:

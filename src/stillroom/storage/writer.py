@@ -10,7 +10,7 @@ from types import TracebackType
 from stillroom.data.map import Map
 from stillroom.geometry.camera import Camera
 from stillroom.storage import opening
-from stillroom.storage.changes import Changes, insert
+from stillroom.storage.changes import Changes, Statements, insert
 from stillroom.storage.pictures import Pictures
 from stillroom.storage.schema import POSES, FrameNote, Session, StoredMap
 
@@ -30,7 +30,7 @@ def save_map(path: Path, stored: StoredMap) -> None:
 class MapWriter:
     """Keeps a file in sync with a map. As a context manager it leaves one file; after an error, the last commit.
 
-    Calls may come from any thread, one at a time; they hold the map's lock while they read it.
+    Calls may come from any thread, one at a time; they hold the map's lock while they read it, not while they write.
     """
 
     def __init__(self, connection: sqlite3.Connection, path: Path, world: Map, changes: Changes) -> None:
@@ -84,17 +84,20 @@ class MapWriter:
             MapError: The disk is full, or the like. The file then holds the last commit, and the next one writes
                 what this one should have.
         """
+        statements = Statements()
         with self._world.lock:
-            try:
-                with self._transaction() as database:
-                    self._changes.write(database)
-                    insert(database, "frames", map(_row, frames))
-                    if pictures is not None:
-                        insert(database, "images", [astuple(pictures)])
-            except BaseException:
+            self._changes.write(statements)
+        try:
+            with self._transaction() as database:
+                statements.execute_on(database)
+                insert(database, "frames", map(_row, frames))
+                if pictures is not None:
+                    insert(database, "images", [astuple(pictures)])
+        except BaseException:
+            with self._world.lock:
                 self._changes.write_again()
-                raise
-            self._changes.committed()
+            raise
+        self._changes.committed()
 
     def close(self, frames: Iterable[FrameNote] = ()) -> None:
         """Write what has changed, the counts of all points too, and leave one file.

@@ -53,14 +53,21 @@ class KeyframePolicy:
         self._since_keyframe = 0
         self._since_recovery = 1 << 30
 
-    def wants(self, tracked: Tracked, world: Map) -> bool:
-        """Return whether the frame should become a keyframe."""
+    def wants(self, tracked: Tracked, world: Map, mapping_keeps_up: bool = True) -> bool:
+        """Return whether the frame should become a keyframe.
+
+        Args:
+            tracked: The frame.
+            world: The map.
+            mapping_keeps_up: Whether mapping has time for one; only a frame that begins a map does not ask for it
+                (ORB-SLAM2: NeedNewKeyFrame).
+        """
         self._since_keyframe += 1
         self._since_recovery = 0 if tracked.recovered else self._since_recovery + 1
         if tracked.state is not TrackingState.OK or not self.config.enabled:
             return False
         begins = len(world.keyframes) == 0 or tracked.recovery is Recovery.NEW_SUBMAP
-        wanted = begins or self._is_due(tracked, world)
+        wanted = begins or (mapping_keeps_up and self._is_due(tracked, world))
         if begins:
             self._since_recovery = 1 << 30
         if wanted:

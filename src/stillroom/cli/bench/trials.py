@@ -1,11 +1,13 @@
 """`stillroom bench accuracy`, `rejection`, `parts` and `speed`: repeated runs of methods."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from stillroom.bench import accuracy as exactness
+from stillroom.bench import live_speed as living
 from stillroom.bench import parts as combining
 from stillroom.bench import rejection as rejecting
 from stillroom.bench import speed as cost
@@ -16,7 +18,7 @@ from stillroom.bench.rejection import Way, ways
 from stillroom.bench.speed import Speed, UnitMeter
 from stillroom.cli.arguments import Settings
 from stillroom.cli.bench.session import Bench, Camera, Frames, Methods, Out, Runs, Sequence1, Sequences
-from stillroom.cli.output import print_lines
+from stillroom.cli.output import print_lines, say
 from stillroom.config import SlamConfig
 from stillroom.errors import ConfigError
 from stillroom.pipeline import Source
@@ -144,6 +146,9 @@ def speed(
     sequence: Sequence1,
     methods: Methods = PRESETS,
     frames: Frames = None,
+    live: Annotated[
+        int, typer.Option(min=0, metavar="N", help="Run each live too, N times at each pace; 0: in order only.")
+    ] = 0,
     camera: Camera = None,
     settings: Settings = None,
     out: Out = None,
@@ -152,6 +157,8 @@ def speed(
 
     Reading the images is not counted; network and mapping are. A stage includes those that it calls: tracking includes
     dynamics, the frame all.
+
+    With --live N, then on worker threads: as fast as it goes, and at a camera's rate. All images are kept in memory.
     """
     configs = _configs(methods, settings)
     bench = Bench("speed", out)
@@ -166,7 +173,30 @@ def speed(
         bench.print_table(f"{measured.method} on {dataset.name}", cost.HEADER, measured.rows())
         print_lines(measured.sentences())
         bench.keep([measured.to_dict()])
+    if live > 0:
+        _speed_live(bench, Source(sequence, camera, frames=frames), configs, live)
     bench.finish()
+
+
+def _speed_live(bench: Bench, source: Source, configs: dict[str, SlamConfig], n_runs: int) -> None:
+    images = living.InMemory(source.open())
+    rate_hz = living.camera_rate_hz(images.unit_ms())
+    say(f"a camera's rate here: {rate_hz:.1f} Hz")
+
+    def measure(name: str, config: SlamConfig) -> list[list[living.LiveSpeed]]:
+        paces: list[list[living.LiveSpeed]] = []
+        for pace_hz in (0.0, rate_hz):
+            paces.append([])
+            for seed in range(n_runs):
+                bench.bar.label = f"{name}, live, seed {seed}"
+                paces[-1].append(living.live_speed(images, name, replace(config, seed=seed), pace_hz, bench.bar))
+        return paces
+
+    for paces in bench.each(configs, measure):
+        runs = [run for pace in paces for run in pace]
+        bench.print_table(f"{runs[0].method} on {images.name}, live", living.HEADER, [run.row() for run in runs])
+        print_lines([sentence for pace in paces for sentence in living.sentences(pace)])
+        bench.keep([run.to_dict() for run in runs])
 
 
 def _configs(methods: str, settings: list[str] | None) -> dict[str, SlamConfig]:

@@ -7,6 +7,7 @@ import numpy as np
 from stillroom.compiled import njit
 from stillroom.data.frame import Frame, ScaleLevels
 from stillroom.data.map import links
+from stillroom.data.map.map_lock import MapLock
 from stillroom.data.map.tables import KeyframeTable, KeypointTable, PointTable
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F32, F64, I32, I64, Bool, Ints
@@ -148,7 +149,7 @@ class Map:
         scales: The pyramid of the keypoints.
         keyframes, keypoints, points: The tables; see `tables`.
         covisibility: Which keyframes see the same points.
-        lock: Held while another thread changes the map, as loop closing does.
+        lock: Held while a thread reads or changes the map, where others may too.
         jumps: Motions (4, 4) of the world's coordinates around the newest keyframe, each from one correction
             of the map; see `jumps.JumpFollower`.
         loop_edges: Keyframes that closed loops: the one that knew the place, the one that came back.
@@ -161,7 +162,7 @@ class Map:
         self.keypoints = KeypointTable(capacity=65536)
         self.points = PointTable(capacity=16384)
         self.covisibility = Covisibility()
-        self.lock = threading.RLock()
+        self.lock = MapLock()
         self.jumps: list[F64] = []
         self.loop_edges: list[tuple[int, int]] = []
         self._n_submaps = 0
@@ -272,10 +273,11 @@ class Map:
     def keyframe_pose(self, keyframe: int) -> F64:
         """Return `T_world_cam` (4, 4) of a keyframe as known now, alive or culled."""
         T_kept_cam = np.eye(4)
-        while not self.keyframes.is_alive[keyframe]:
-            T_kept_cam = self.keyframes.T_parent_cam[keyframe] @ T_kept_cam
-            keyframe = int(self.keyframes.parent[keyframe])
-        pose: F64 = self.keyframes.T_world_cam[keyframe] @ T_kept_cam
+        with self.lock:
+            while not self.keyframes.is_alive[keyframe]:
+                T_kept_cam = self.keyframes.T_parent_cam[keyframe] @ T_kept_cam
+                keyframe = int(self.keyframes.parent[keyframe])
+            pose: F64 = self.keyframes.T_world_cam[keyframe] @ T_kept_cam
         return pose
 
     def connect(self, keyframe: int) -> None:

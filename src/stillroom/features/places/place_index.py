@@ -343,12 +343,13 @@ class PlaceMemory:
 
     def remember(self, keyframe: int) -> None:
         """Add a keyframe of the map, and drop those that the map has culled since."""
-        self.forget_culled()
-        if self.world.keyframes.is_alive[keyframe]:
-            self.index.add(keyframe, self.bag_of_keyframe(keyframe))
-        self._since_grown += 1
-        if 0 < self.config.grow_every <= self._since_grown:
-            self.grow()
+        with self.world.lock:
+            self.forget_culled()
+            if self.world.keyframes.is_alive[keyframe]:
+                self.index.add(keyframe, self.bag_of_keyframe(keyframe))
+            self._since_grown += 1
+            if 0 < self.config.grow_every <= self._since_grown:
+                self.grow()
 
     def grow(self) -> None:
         """Split words that are too frequent in this map, by its own keyframes, and index these again."""

@@ -1,5 +1,6 @@
 """Mask propagation for a slow network: it runs on every n-th image, and its result is available some images later."""
 
+import logging
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -9,8 +10,12 @@ import numpy as np
 
 from stillroom.bounds import bounded
 from stillroom.data.image import RgbdImage
+from stillroom.protocols import Pending, Schedule
+from stillroom.schedule import InOrder, Worker
 from stillroom.semantics.masks.mask_segments import HalfImage, MaskSegments
 from stillroom.semantics.masks.refine import RefineConfig, refined
+
+log = logging.getLogger(__name__)
 
 See = Callable[[RgbdImage, HalfImage], MaskSegments]
 
@@ -77,35 +82,50 @@ class KnownImage:
 @dataclass(frozen=True)
 class _Answer:
     seen_at: int
-    segments: MaskSegments
+    segments: Pending[MaskSegments]
 
 
 NOTHING_YET = KnownImage(MaskSegments(np.zeros((0, 0), np.uint8), np.zeros((0, 0), np.float32)), 0)
 
 
-class LateMasks:
-    """Runs a network at a stride, delays its results, and propagates them to the present."""
+MOST_RECENT = 256
+"""How many images are kept at most while the network works on an older one; a result still older is dropped."""
 
-    def __init__(self, see: See, every: int, latency_frames: int, carry: MaskCarryConfig, refine: RefineConfig) -> None:
+
+class LateMasks:
+    """Runs a network at a stride or as often as it keeps up, delays its results, and propagates them to the present."""
+
+    def __init__(
+        self,
+        see: See,
+        every: int,
+        latency_frames: int,
+        carry: MaskCarryConfig,
+        refine: RefineConfig,
+        schedule: Schedule | None = None,
+    ) -> None:
         """Start without images.
 
         Args:
             see: The network: what is potentially dynamic in an image.
-            every: Stride in images at which it runs.
+            every: Stride in images at which it runs, at most: it sees no image while it works on another.
             latency_frames: How many images later its result is available. The first is waited for: a map must not start
                 with people.
             carry: How masks are propagated.
             refine: How their borders are refined, there and at each step to the present.
+            schedule: Runs the network; at once by default.
         """
         self._see = see
         self._every = every
         self._latency = latency_frames
         self._carry = carry
         self._refine = refine
-        self._recent: deque[HalfImage] = deque(maxlen=latency_frames + 2)
+        self._schedule = schedule or InOrder()
+        self._recent: deque[HalfImage] = deque()
         self._waiting: deque[_Answer] = deque()
         self._known = NOTHING_YET
         self._count = -1
+        self._asked_at = -every
 
     def __call__(self, image: RgbdImage) -> KnownImage:
         """Return the segments of an image; images come in order, and a step back resets."""
@@ -115,25 +135,43 @@ class LateMasks:
         self._recent.append(view)
         self._count += 1
         now = self._count
-        if now % self._every == 0:
-            self._waiting.append(_Answer(now, refined(self._see(image, view), view.depth_m, self._refine)))
+        if now - self._asked_at >= self._every and all(answer.segments.done() for answer in self._waiting):
+            self._asked_at = now
+            self._waiting.append(_Answer(now, self._schedule.submit(Worker.NETWORK, self._seen, image, view)))
         arrived = None
-        while self._waiting and (now == 0 or self._waiting[0].seen_at + self._latency <= now):
+        while self._waiting and (now == 0 or self._has_come(self._waiting[0])):
             arrived = self._waiting.popleft()
+        if arrived is not None and now - arrived.seen_at >= len(self._recent):
+            log.warning("the network needs %d images for one; its masks are too old to be used", now - arrived.seen_at)
+            arrived = None
         if arrived is not None:
             self._known = KnownImage(self._to_the_present(arrived), now - arrived.seen_at)
         else:
             self._known = KnownImage(self._one_step(self._known.segments, -1), self._known.age + 1)
+        self._drop_old_images()
         return self._known
 
     def _forget(self) -> None:
         self._recent.clear()
         self._waiting.clear()
         self._known = NOTHING_YET
-        self._count = -1
+        self._count, self._asked_at = -1, -self._every
+
+    def _seen(self, image: RgbdImage, view: HalfImage) -> MaskSegments:
+        """Return what the network sees in an image, with refined borders."""
+        return refined(self._see(image, view), view.depth_m, self._refine)
+
+    def _has_come(self, answer: _Answer) -> bool:
+        return answer.segments.done() and answer.seen_at + self._latency <= self._count
+
+    def _drop_old_images(self) -> None:
+        """Keep the images that a result may still have to pass: those since the oldest that the network works on."""
+        behind = max((self._count - answer.seen_at for answer in self._waiting), default=0)
+        while len(self._recent) > min(max(self._latency, behind) + 2, MOST_RECENT):
+            self._recent.popleft()
 
     def _to_the_present(self, answer: _Answer) -> MaskSegments:
-        segments = answer.segments
+        segments = answer.segments.result()
         for back in range(self._count - answer.seen_at, 0, -1):
             segments = self._one_step(segments, -back)
         return segments

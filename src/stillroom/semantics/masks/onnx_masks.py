@@ -9,7 +9,7 @@ from stillroom.bounds import bounded, check
 from stillroom.data.image import RgbdImage
 from stillroom.data.semantics import Semantics
 from stillroom.geometry.arrays import F32, U8
-from stillroom.protocols import Parts, Segmenter
+from stillroom.protocols import Parts, Schedule, Segmenter
 from stillroom.semantics.class_names import VOC_CLASSES, channels_of
 from stillroom.semantics.masks.carried_masks import LateMasks, MaskCarryConfig
 from stillroom.semantics.masks.mask_segments import HalfImage, MaskSegments
@@ -76,7 +76,7 @@ class OnnxMasksConfig:
         check(self)
         channels = channels_of((*self.movable, *self.named), self.classes)
         network = SegmentationNetwork(find_model(self.model or DEEPLAB), channels, len(self.classes), self._reading())
-        return OnnxMasks(network, self)
+        return OnnxMasks(network, self, None if parts is None else parts.schedule)
 
     def _reading(self) -> SegmentationInput:
         return SegmentationInput(
@@ -87,11 +87,11 @@ class OnnxMasksConfig:
 class OnnxMasks:
     """A network's masks, refined by depth, and propagated where it is late."""
 
-    def __init__(self, network: SegmentationNetwork, config: OnnxMasksConfig) -> None:
+    def __init__(self, network: SegmentationNetwork, config: OnnxMasksConfig, schedule: Schedule | None = None) -> None:
         """Start without images."""
         self._network = network
         self._config = config
-        self._masks = LateMasks(self.see, config.every, config.latency_frames, config.carry, config.refine)
+        self._masks = LateMasks(self.see, config.every, config.latency_frames, config.carry, config.refine, schedule)
 
     def __call__(self, image: RgbdImage) -> Semantics:
         """Return what is potentially dynamic in the image.

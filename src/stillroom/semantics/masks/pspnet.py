@@ -70,7 +70,8 @@ class PspNetConfig:
             latency_frames=self.latency_frames, refine=self.refine, carry=self.carry, regions=self.regions,
         )  # fmt: skip
         channels = channels_of((*self.movable, *self.named), VOC_CLASSES)
-        return OnnxMasks(pspnet(self.model, channels, INPUTS_PX[self.input]), masks)
+        network = pspnet(self.model, channels, INPUTS_PX[self.input])
+        return OnnxMasks(network, masks, None if parts is None else parts.schedule)
 
 
 def pspnet(model: Path | None, channels: list[int], longer_side_px: int) -> SegmentationNetwork:

@@ -1,0 +1,90 @@
+"""What a live run came to: delays, dropped images, and what the workers did."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from stillroom.evaluation.report import Evaluation
+from stillroom.pipeline.intake import Arrival
+from stillroom.schedule import LiveSchedule, Worker
+
+
+@dataclass
+class LiveFigures:
+    """Figures of a live run.
+
+    Attributes:
+        speed: Seconds of a recording that were played in one; 0 for one image after the other.
+        schedule: The schedule, whose workers' loads are known when it is closed.
+        dropped: Images that were due while tracking was late.
+        delays_s: From when each tracked image was due until its pose was known [s].
+        wall_s: From the first image until every queue was empty [s].
+        online: Figures of the poses as they were known at once; None without ground truth.
+    """
+
+    speed: float
+    schedule: LiveSchedule
+    dropped: list[Arrival]
+    delays_s: list[float] = field(default_factory=list)
+    wall_s: float = 0.0
+    online: Evaluation | None = None
+
+    @property
+    def delay_ms(self) -> tuple[float, float]:
+        """Median and 95th percentile of the delays [ms]; NaN where nothing was tracked."""
+        if not self.delays_s:
+            return float("nan"), float("nan")
+        median, p95 = np.percentile(self.delays_s, (50, 95)) * 1e3
+        return float(median), float(p95)
+
+    @property
+    def n_seen(self) -> int:
+        """Images that the detector or the network saw."""
+        loads = self.schedule.loads
+        worker = Worker.NETWORK if Worker.NETWORK in loads else Worker.SEMANTICS
+        return loads[worker].n_done if worker in loads else 0
+
+    def shares(self) -> dict[Worker, float]:
+        """Return the share of the wall time for which each worker was busy."""
+        busy_s = {worker: load.busy_s for worker, load in self.schedule.loads.items()}
+        return {worker: seconds / self.wall_s if self.wall_s > 0 else 0.0 for worker, seconds in busy_s.items()}
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the figures for a JSON file."""
+        median, p95 = self.delay_ms
+        shares = self.shares()
+        return {
+            "speed": self.speed,
+            "n_dropped": len(self.dropped),
+            "due_to_pose_median_ms": None if np.isnan(median) else median,
+            "due_to_pose_p95_ms": None if np.isnan(p95) else p95,
+            "wall_s": self.wall_s,
+            "ate_online_m": None if self.online is None else self.online.as_given.ate_se3_m.rmse,
+            "n_images_seen_by_network": self.n_seen,
+            "workers": {
+                worker.value: {
+                    "share_busy": shares[worker],
+                    "n_done": load.n_done,
+                    "n_left_out": load.n_left_out,
+                    "cpu_s": load.cpu_s,
+                    "longest_queue": load.longest,
+                }
+                for worker, load in self.schedule.loads.items()
+            },
+        }
+
+    def sentences(self) -> list[str]:
+        """Return the figures in words."""
+        median, p95 = self.delay_ms
+        pace = f"at {self.speed:g} × its own speed" if self.speed > 0 else "as fast as it goes"
+        text = f"live, {pace}: {len(self.dropped)} images dropped, as tracking was late"
+        if self.speed > 0:
+            text += f"; from due to pose {median:.1f} ms (median), {p95:.1f} ms (95th percentile)"
+        left_out = sum(load.n_left_out for load in self.schedule.loads.values())
+        if left_out:
+            text += f"; {left_out} frames were not used to carve the dense map, whose worker was late"
+        if self.online is not None:
+            text += f"; ATE of the poses as known at once {self.online.as_given.ate_se3_m.rmse:.4f} m"
+        busy = ", ".join(f"{worker.value} {100 * share:.0f} %" for worker, share in self.shares().items())
+        return [text, f"workers busy: {busy}; {self.n_seen} images seen by the network"]

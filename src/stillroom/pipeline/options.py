@@ -152,8 +152,8 @@ class Source:
         if odd:
             asked = ", ".join("how images are paired" if name == "pairing" else f"--{name}" for name in odd)
             raise ConfigError(
-                f"{self.sequence}: {asked}: is for recorded sequences; leave it out, or record one with "
-                "'stillroom record'"
+                f"{self.sequence}: {asked}: for recorded sequences only; leave it out, or record one first, "
+                "with 'stillroom record'"
             )
         return Streamed(open_camera(self.sequence))
 

@@ -7,16 +7,20 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from stillroom.data.trajectory import read_tum
+from stillroom.storage.check import check_map
 
 if not hasattr(signal, "SIGHUP"):
     pytest.skip("this system sends no SIGHUP, and no SIGTERM to another process", allow_module_level=True)
 
 N = 6
 RUN = f"""
-import importlib, os, signal, sys
+import importlib, os, signal, sys, threading
+
+delay_s = float(os.environ.get("DELAY_S", "0"))
 
 def at(module, name, number, n=1):
     '''Let the process be asked to end when something is called for the n-th time.'''
@@ -27,7 +31,9 @@ def at(module, name, number, n=1):
 
     def asked(*given, **named):
         left[0] -= 1
-        if left[0] == 0:
+        if left[0] == 0 and delay_s > 0.0:
+            threading.Timer(delay_s, os.kill, (os.getpid(), number)).start()
+        elif left[0] == 0:
             os.kill(os.getpid(), number)
         return honest(*given, **named)
 
@@ -52,9 +58,13 @@ STAGES = {
 CODES = {"SIGINT": 130, "SIGTERM": 143, "SIGHUP": 129}
 
 
-def run(folder: Path, place: str, number: int, n: int, *more: str) -> subprocess.CompletedProcess[str]:
-    words = [sys.executable, "-c", HEARD, place, str(number), str(n), *more]
-    return subprocess.run(words, cwd=folder, capture_output=True, text=True, timeout=300, check=False)
+def run(
+    folder: Path, place: str, number: int, n: int, *more: str, delay_s: float = 0.0
+) -> subprocess.CompletedProcess[str]:
+    words, environment = [sys.executable, "-c", HEARD, place, str(number), str(n), *more], {"DELAY_S": str(delay_s)}
+    return subprocess.run(
+        words, cwd=folder, capture_output=True, text=True, timeout=300, check=False, env=os.environ | environment
+    )
 
 
 def assert_kept(folder: Path, n: int) -> None:
@@ -77,6 +87,25 @@ def test_sigterm_in_any_stage_keeps_what_is_done(stage: str, tmp_path: Path) -> 
         assert_kept(tmp_path / "out", n_done)
     if stage == "drawing":
         assert (tmp_path / "out" / "pictures" / "error.png").exists()
+
+
+MOMENTS = [*range(2), *(pytest.param(moment, marks=pytest.mark.slow) for moment in range(2, 20))]
+
+
+@pytest.mark.parametrize("moment", MOMENTS)
+def test_a_live_run_that_is_asked_to_end_at_any_moment(moment: int, tmp_path: Path) -> None:
+    """While workers are busy: one message, whole files, no hang."""
+    rng, (place, _, _) = np.random.default_rng(moment), STAGES["tracking"]
+    number = (signal.SIGINT, signal.SIGTERM)[moment % 2]
+    n, delay_s = int(rng.integers(1, N)), float(rng.uniform(0.0, 0.05))
+    live = ("--pictures", "0", "--schedule", "live", "--speed", "0", "--map", "a.stillmap")
+    done = run(tmp_path, place, number, n, *live, delay_s=delay_s)
+    assert done.returncode == 128 + number, done.stderr
+    assert "Traceback" not in done.stderr
+    assert done.stderr.count("[see troubleshooting: interrupted]") == 1
+    figures = json.loads((tmp_path / "out" / "metrics.json").read_text(encoding="utf-8"))
+    assert len(read_tum(tmp_path / "out" / "trajectory.tum")) == figures["n_given"] > 0
+    assert check_map(tmp_path / "a.stillmap") == []
 
 
 @pytest.mark.parametrize("name", ["SIGINT", "SIGHUP"])

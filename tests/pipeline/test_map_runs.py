@@ -352,6 +352,59 @@ def test_a_map_survives_kill_9(moment: int, room: Dataset, tmp_path: Path) -> No
     assert_survived(path, committed_by(path), room)
 
 
+LIVE = """
+import os, signal, sys, threading
+from pathlib import Path
+
+import stillroom.session.map_file as use
+from stillroom.mapping.local_mapper import LocalMapper
+from stillroom.schedule import LiveSchedule
+
+path, keyframe, delay_s = Path(sys.argv[1]), int(sys.argv[2]), float(sys.argv[3])
+refine = LocalMapper.refine
+
+
+def refine_until_killed(self, number):
+    if number == keyframe:
+        threading.Timer(delay_s, lambda: os.kill(os.getpid(), signal.SIGKILL)).start()
+    return refine(self, number)
+
+
+LocalMapper.refine = refine_until_killed
+sys.path[:0] = sys.argv[4:]
+from test_map_runs import CONFIG
+from stillroom.datasets.open import open_dataset
+from stillroom.pipeline import RunOptions, run
+from stillroom.session.map_file import MapFile
+
+room = open_dataset("synthetic:walking,frames=45")
+options = dict(root=None, pictures=0, map=MapFile(path, use.MapUse.NEW))
+while True:  # until the process dies
+    run(room, CONFIG, RunOptions(**options, schedule=LiveSchedule(), speed=0.0))
+    signal.pause()
+"""
+LIVE_MOMENTS = [*range(3), *(pytest.param(moment, marks=pytest.mark.slow) for moment in range(3, 20))]
+
+
+@without_sigkill
+@pytest.mark.parametrize("moment", LIVE_MOMENTS)
+def test_a_map_survives_kill_9_of_a_live_run(moment: int, room: Dataset, tmp_path: Path) -> None:
+    rng = np.random.default_rng(200 + moment)
+    path, here = tmp_path / "room.stillmap", Path(__file__).parent
+    words = [
+        str(path),
+        str(rng.integers(0, 6)),
+        f"{rng.uniform(0.0, 0.15):.4f}",
+        str(here),
+        str(here.parent / "fabricated"),
+    ]
+    done = subprocess.run(
+        [sys.executable, "-c", LIVE, *words], capture_output=True, text=True, check=False, timeout=300
+    )
+    assert done.returncode == -9, done.stderr
+    assert_survived(path, [], room)
+
+
 @pytest.fixture(scope="module")
 def n_steps(tmp_path_factory: pytest.TempPathFactory) -> int:
     """How many steps SQLite takes in a whole run."""

@@ -63,15 +63,16 @@ Speed = Annotated[
         min=0, metavar="F", help="Live: how fast a recording is played; 1 by default; 0: no image is dropped."
     ),
 ]
+Images = Annotated[
+    str,
+    typer.Argument(
+        metavar="SEQUENCE", help="A folder, an archive, a known name, synthetic:walking, or camera:realsense."
+    ),
+]
 
 
 def run(
-    sequence: Annotated[
-        str,
-        typer.Argument(
-            metavar="SEQUENCE", help="A folder, an archive, a known name, synthetic:walking, or camera:realsense."
-        ),
-    ],
+    sequence: Images,
     method: Method = None,
     frames: Frames = None,
     drop: Drop = None,

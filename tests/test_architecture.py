@@ -33,6 +33,7 @@ LEVELS = {
     "storage": 4,
     "evaluation": 4,
     "viz": 4,
+    "cameras": 5,
     "config": 5,
     "download": 5,
     "system": 6,
@@ -54,7 +55,7 @@ ROOT_ATTRIBUTES = {"__version__"}
 MAX_FILE_LINES = 450
 MAX_FUNCTION_LINES = 60
 BANNED_NAMES = {"utils", "helpers", "common", "misc"}
-HEAVY = {"onnxruntime", "onnx", "rerun", "torch", "matplotlib", "rosbags", "pyrealsense2", "scipy"}
+HEAVY = {"onnxruntime", "onnx", "rerun", "torch", "matplotlib", "rosbags", "pyrealsense2", "depthai", "scipy"}
 DECORATORS = {"jit", "njit", "vectorize", "guvectorize", "stencil", "cfunc"}
 KERNELS_ARE_DECORATED_IN = "stillroom/compiled.py"
 PRINTING_ROOMS = {"cli"}

@@ -22,6 +22,7 @@ import pytest
 import typer.main
 from rgbd_folder import write_first_frames, write_rgbd_folder
 
+from stillroom.cameras.registry import PLUGINS as CAMERAS
 from stillroom.cli.installed import GROUP as COMMANDS
 from stillroom.cli.main import application, main
 from stillroom.config.kinds import SEGMENTERS, SIEVES
@@ -32,7 +33,7 @@ from stillroom.presets.registry import PLUGINS as METHODS
 from stillroom.presets.registry import configure
 
 ROOT = Path(__file__).parents[1]
-GROUPS = {group.group: group for group in (METHODS, DATASETS, SEGMENTERS, SIEVES, COMMANDS)}
+GROUPS = {group.group: group for group in (METHODS, DATASETS, CAMERAS, SEGMENTERS, SIEVES, COMMANDS)}
 SEQUENCES = ("rgbd_bonn_crowd", "rgbd_bonn_crowd_first560")
 """Names of the real sequence that pages use."""
 FEW, REAL = 12, 60

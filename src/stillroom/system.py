@@ -2,6 +2,7 @@
 
 from collections import deque
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -272,30 +273,25 @@ def build(
     check(config)
     config = in_pixels_of(config, camera.pixel_scale)
     clock, world = clock or StageClock(), world or Map(config.features.scales(camera))
-    schedule = schedule or InOrder()
-    parts = Parts(camera, world, config.seed, clock, schedule)
+    parts = Parts(camera, world, config.seed, clock, schedule or InOrder())
     segmenter = segmenter or config.semantics.build(parts)
     sieve = timed_part(Asking(config.dynamics.build(parts), world), clock, judge="dynamics", remember="memory")
     tracker = config.tracking.build(parts, sieve, config.low_cost.build(parts, sieve))
     places = config.places.build(parts)
     places.remember_all()
-    recovery = config.recovery.build(parts, tracker, places)
     dense_mapper = config.dense.build(parts)
-
-    def refresh_dense_map() -> None:
-        schedule.submit(Worker.DENSE, dense_mapper.refresh)
-
-    joiner = config.joining.build(parts, places, after=(refresh_dense_map,))
-    loop_closer = config.loops.build(parts, places, after=(refresh_dense_map,))
+    refresh = partial(parts.schedule.submit, Worker.DENSE, dense_mapper.refresh)
+    joiner = config.joining.build(parts, places, after=(refresh,))
+    loop_closer = config.loops.build(parts, places, after=(refresh,))
     return System(
-        schedule=schedule,
+        schedule=parts.schedule,
         segmenter=clock.timed("semantics", segmenter),
         clusterer=clock.timed("clusters", config.clusters.build(parts)),
         features=timed_part(config.features.build(parts), clock, extract="features"),
         keypoint_sieve=config.keypoints.build(parts),
         sieve=sieve,
         tracker=timed_part(tracker, clock, track="tracking"),
-        recovery=timed_part(recovery, clock, recover="recovery"),
+        recovery=timed_part(config.recovery.build(parts, tracker, places), clock, recover="recovery"),
         keyframe_policy=config.keyframes.build(parts),
         mapper=timed_part(config.mapping.build(parts), clock, insert="keyframe", refine="mapping", finish="rest"),
         places=timed_part(places, clock, remember="places"),

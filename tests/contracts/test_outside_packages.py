@@ -12,12 +12,14 @@ from pathlib import Path
 
 import pytest
 
+from stillroom.cameras.registry import open_camera
 from stillroom.config import SlamConfig, to_toml, updated, with_overrides
 from stillroom.config.kinds import DYNAMICS, SEMANTICS
 from stillroom.datasets.open import open_dataset
 from stillroom.datasets.registry import LAST, all_kinds
 from stillroom.errors import ConfigError, DatasetError
 from stillroom.presets.registry import all_methods
+from stillroom.testing.camera_contract import check_camera
 from stillroom.testing.dataset_contract import KnownPixel, check_dataset
 from stillroom.testing.segmenter_contract import check_segmenter
 from stillroom.testing.tiny_sequence import write_tiny_sequence
@@ -110,6 +112,19 @@ def test_an_outside_kind_is_named_like_the_house_s_own() -> None:
         with_overrides(SlamConfig(), ["semantics.kind=red-thing"])
 
 
+def test_an_outside_camera_keeps_the_contract(install: Install, tmp_path: Path) -> None:
+    install(
+        "stillroom.cameras",
+        "mine = mine_of_a_test:KIND",
+        "from stillroom.cameras.kind import CameraKind\nfrom stillroom.cameras.replay import open_replay\n"
+        "KIND = CameraKind('mine', 'camera:mine:FOLDER', 'a camera of mine', open_replay)\n",
+    )
+    write_tiny_sequence(tmp_path / "tiny")
+    assert len(check_camera(lambda: open_camera(f"camera:mine:{tmp_path / 'tiny'}"))) == 5
+    with pytest.raises(ConfigError, match=r"'yours'; there is: camera:replay.*camera:oak\[:ID\], camera:mine:FOLDER$"):
+        open_camera("camera:yours")
+
+
 def test_an_outside_sieve_stands_alone_or_in_a_chain(install: Install) -> None:
     install(
         "stillroom.sieves",
@@ -142,6 +157,10 @@ def choose(section: str, kind: str) -> Callable[[], object]:
 DOORS = {
     "stillroom.methods": (all_methods, "must be a Method"),
     "stillroom.datasets": (lambda: open_dataset("synthetic:empty,frames=1,cache=off"), "must be a DatasetKind"),
+    "stillroom.cameras": (
+        lambda: open_camera("camera:replay:synthetic:empty,frames=1,cache=off"),
+        "must be a CameraKind",
+    ),
     "stillroom.segmenters": (choose("semantics", "mine"), "must be a dataclass with a build method"),
     "stillroom.sieves": (choose("dynamics", "mine"), "must be a dataclass with a build method"),
 }
@@ -190,6 +209,12 @@ def test_what_is_of_another_type_is_said(group: str, install: Install) -> None:
             "mine = mine_of_a_test:KIND",
             "from stillroom.datasets.folder import KIND\n",
             "there is a kind of data set 'folder' already",
+        ),
+        (
+            "stillroom.cameras",
+            "mine = mine_of_a_test:KIND",
+            "from stillroom.cameras.oak import KIND\n",
+            "there is a kind of camera 'oak' already",
         ),
         ("stillroom.segmenters", "truth = mine_of_a_test:A", "", "there is a segmenter 'truth' already"),
         ("stillroom.sieves", "epipolar = mine_of_a_test:A", "", "there is a match sieve 'epipolar' already"),

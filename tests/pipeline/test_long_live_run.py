@@ -81,7 +81,7 @@ class Watching:
 @pytest.mark.skipif(not PROCESS_STATUS.exists(), reason="memory is read from /proc")
 @pytest.mark.parametrize("method", ["oc-slam"])
 def test_memory_is_flat(method: str, room: Dataset, tmp_path: Path) -> None:
-    config: SlamConfig = configure(method, overrides=["semantics.kind=truth"])
+    config: SlamConfig = configure(method, overrides=["semantics.kind=truth", "dense.max_memory_mb=64"])
     assert isinstance(config.semantics, TrueSemanticsConfig)
     watching = Watching()
     options = RunOptions(folder=tmp_path / "out", pictures=0, schedule=LiveSchedule(), speed=0.0)

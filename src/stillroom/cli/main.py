@@ -55,6 +55,7 @@ COMMANDS = (
         "Track a camera through a rendered room with people in it, by orb-slam2 and by oc-slam, and compare the two.",
     ),
     Command("run", "stillroom.cli.run:run", "Track the camera through a sequence."),
+    Command("record", "stillroom.cli.record:record", "Keep what a camera sees as a sequence."),
     Command("evaluate", "stillroom.cli.evaluate:evaluate", "Evaluate a trajectory: ATE and RPE."),
     Command(
         "inpaint",

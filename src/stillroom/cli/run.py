@@ -63,12 +63,16 @@ Speed = Annotated[
         min=0, metavar="F", help="Live: how fast a recording is played; 1 by default; 0: no image is dropped."
     ),
 ]
+Images = Annotated[
+    str,
+    typer.Argument(
+        metavar="SEQUENCE", help="A folder, an archive, a known name, synthetic:walking, or camera:realsense."
+    ),
+]
 
 
 def run(
-    sequence: Annotated[
-        str, typer.Argument(metavar="SEQUENCE", help="A folder, an archive, a known name, or synthetic:walking.")
-    ],
+    sequence: Images,
     method: Method = None,
     frames: Frames = None,
     drop: Drop = None,
@@ -95,8 +99,9 @@ def run(
 ) -> None:
     """Track the camera through a sequence.
 
-    Writes trajectory, figures and pictures into a folder in results/; Ctrl-C ends a run early and keeps the results so
-    far. Exit code 3 says that nothing was tracked.
+    Or a camera that is plugged in, until it is stopped; 'stillroom record' keeps what it sees. Writes trajectory,
+    figures and pictures into a folder in results/; Ctrl-C ends a run early and keeps the results so far. Exit code 3
+    says that nothing was tracked.
 
     An archive is unpacked once into the user's cache and stays there until you delete it.
 
@@ -104,6 +109,7 @@ def run(
         stillroom run synthetic:walking --frames 0:90 --set semantics.kind=truth
         stillroom run rgbd_bonn_crowd --frames :200 --map room.stillmap
         stillroom run rgbd_bonn_crowd --frames 200: --map room.stillmap --localize
+        stillroom run camera:realsense --map room.stillmap
     """
     from stillroom.datasets.pairing import Pairing
     from stillroom.pipeline import RunOptions, Source
@@ -158,6 +164,7 @@ def _track(chosen: "SlamConfig", source: "Source", options: "RunOptions", detect
     from stillroom.cli.output import STDERR, RunBar, print_error, say, show_log
     from stillroom.cli.warmup import ensure_warm
     from stillroom.datasets.recording import rendered
+    from stillroom.pipeline import Recorded, Streamed
     from stillroom.pipeline import run as run_pipeline
     from stillroom.pipeline.options import detector_ranges
     from stillroom.pipeline.results import chosen_folder
@@ -165,18 +172,26 @@ def _track(chosen: "SlamConfig", source: "Source", options: "RunOptions", detect
     from stillroom.system import segmenter_of
 
     show_log()
-    dataset = source.open()
-    options = replace(
-        options,
-        folder=chosen_folder(options.folder) if options.folder is not None else None,
-        detector_off=detector_ranges(detector_off, dataset),
-        # Now: a missing file is reported before kernels are compiled.
-        segmenter=segmenter_of(chosen, dataset.camera, options.schedule),
-    )
-    say(f"{chosen.method} on {dataset.name}: {len(dataset)} images; camera: {dataset.camera_source}")
     is_paced = isinstance(options.schedule, LiveSchedule) and options.speed > 0
-    ensure_warm(STDERR, rendered(dataset) is not None, loaded=is_paced)
-    outcome = run_pipeline(dataset, chosen, options, RunBar(STDERR))
+    intake = source.intake()
+    if isinstance(intake, Streamed):
+        if detector_off:
+            raise ConfigError("--detector-off names images of a recorded sequence; leave it out")
+        ensure_warm(STDERR, loaded=is_paced)  # now: images of a camera that is started do not wait
+    with intake.started():
+        origin = intake.origin
+        options = replace(
+            options,
+            folder=chosen_folder(options.folder) if options.folder is not None else None,
+            detector_off=detector_ranges(detector_off, intake.origin) if isinstance(intake, Recorded) else (),
+            # Now: a missing file is reported before kernels are compiled.
+            segmenter=segmenter_of(chosen, origin.camera, options.schedule),
+        )
+        n_images = "" if intake.n_images is None else f"{intake.n_images} images; "
+        say(f"{chosen.method} on {origin.name}: {n_images}camera: {origin.camera_source}")
+        if isinstance(intake, Recorded):
+            ensure_warm(STDERR, rendered(intake.origin) is not None, loaded=is_paced)
+        outcome = run_pipeline(intake, chosen, options, RunBar(STDERR))
     _report(outcome)
     if outcome.interrupted:
         raise typer.Exit(INTERRUPTED)

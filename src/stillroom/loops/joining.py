@@ -40,7 +40,7 @@ class JoiningConfig:
     min_kept_share: float = bounded(0.5, least=0, most=1)
     bundle: BundleConfig = field(default_factory=BundleConfig)
 
-    def build(self, parts: Parts, places: PlaceMemory, after: Sequence[Callable[[], None]] = ()) -> "SubmapJoiner":
+    def build(self, parts: Parts, places: PlaceMemory, after: Sequence[Callable[[], object]] = ()) -> "SubmapJoiner":
         """Return the joiner of a map's sub-maps.
 
         Args:
@@ -63,7 +63,7 @@ class SubmapJoiner:
         config: JoiningConfig,
         parts: Parts,
         places: PlaceMemory,
-        after: Sequence[Callable[[], None]],
+        after: Sequence[Callable[[], object]],
     ) -> None:
         """Start without merges."""
         self.config, self.camera, self.world, self.places = config, parts.camera, parts.world, places

@@ -65,7 +65,7 @@ class LoopsConfig:
     graph: PoseGraphConfig = field(default_factory=PoseGraphConfig)
     bundle: BundleConfig = field(default_factory=lambda: BundleConfig(first_damping=1e-8))
 
-    def build(self, parts: Parts, places: PlaceMemory, after: Sequence[Callable[[], None]] = ()) -> "LoopClosing":
+    def build(self, parts: Parts, places: PlaceMemory, after: Sequence[Callable[[], object]] = ()) -> "LoopClosing":
         """Return the loop closer of a map.
 
         Args:
@@ -105,7 +105,7 @@ class LoopCloser:
         config: LoopsConfig,
         parts: Parts,
         places: PlaceMemory,
-        after: Sequence[Callable[[], None]],
+        after: Sequence[Callable[[], object]],
     ) -> None:
         """Start empty."""
         self.config, self.camera, self.world, self.places = config, parts.camera, parts.world, places

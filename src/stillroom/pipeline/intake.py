@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -50,6 +51,9 @@ class Intake(Protocol):
     def comes_in_time(self) -> bool:
         """Whether images come at their own times, as from a camera."""
 
+    def started(self) -> AbstractContextManager[object]:
+        """Return a context in which images come: a camera is started, and stopped after it."""
+
     def arrivals(self) -> Iterator[Arrival]:
         """Yield the images as they come; that of a recording is read when its `load` is called.
 
@@ -85,6 +89,10 @@ class Recorded:
         """Return that they do not: all are there."""
         return False
 
+    def started(self) -> AbstractContextManager[object]:
+        """Return a context that does nothing: a recording is there."""
+        return nullcontext()
+
     def arrivals(self) -> Iterator[Arrival]:
         """Yield the images, none read yet."""
         dataset = self.origin
@@ -108,7 +116,7 @@ class Recorded:
 
 @dataclass(frozen=True)
 class Streamed:
-    """The images of a camera, as it takes them. The camera is entered before, and left after the run."""
+    """The images of a camera, as it takes them; a run needs it entered (see `started`)."""
 
     origin: CameraStream
     n_images: None = None
@@ -118,6 +126,14 @@ class Streamed:
     def comes_in_time(self) -> bool:
         """Whether they do."""
         return self.origin.comes_in_time
+
+    def started(self) -> AbstractContextManager[object]:
+        """Return the camera, which starts when it is entered.
+
+        Raises:
+            CameraError: On entering: there is none, or it does not start.
+        """
+        return self.origin
 
     def arrivals(self) -> Iterator[Arrival]:
         """Wait for one image after the other.
@@ -135,8 +151,8 @@ class Streamed:
                 continue
             if image is None:
                 return
-            number = image.index
-            yield Arrival(number, image.timestamp_s, lambda image=image: image)  # type: ignore[misc]
+            number = max(number, image.index)
+            yield Arrival(image.index, image.timestamp_s, lambda image=image: image)  # type: ignore[misc]
 
     def n_unpaired(self, n_given: int) -> int:
         """Return 0: a camera gives no image without its depth."""

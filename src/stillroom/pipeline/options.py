@@ -5,12 +5,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from stillroom.cameras.registry import is_camera, open_camera
 from stillroom.datasets.open import open_dataset
 from stillroom.datasets.pairing import Pairing
 from stillroom.datasets.selection import parse_range, select
 from stillroom.errors import ConfigError
 from stillroom.evaluation.report import Evaluation
 from stillroom.evaluation.timing import StageClock
+from stillroom.pipeline.intake import Intake, Recorded, Streamed
 from stillroom.pipeline.live import LiveFigures
 from stillroom.pipeline.ornaments import Ornaments
 from stillroom.pipeline.untracked import Seen, likely_reason
@@ -19,6 +21,10 @@ from stillroom.schedule import InOrder
 from stillroom.session.map_file import MapFile
 from stillroom.session.plausibility import Doubt
 from stillroom.system import System
+
+OF_SEQUENCES = ("camera", "fps", "frames", "drop", "blackout", "reverse", "pairing")
+"""What can be asked of a recorded sequence only."""
+
 
 # What a run came to.
 
@@ -100,7 +106,7 @@ class Source:
     """A sequence, and the part of it that a run sees. Ranges are `a:b` as Python slices.
 
     Attributes:
-        sequence: A folder, an archive, a known name, or `synthetic:…`.
+        sequence: A folder, an archive, a known name, or `synthetic:…`; for a run, `camera:…` as well.
         camera: The calibration to use, a name or a file; by default the sequence's own.
         fps: Frames per second [1/s] of a folder whose file names or lists have no times.
         frames: Images to keep; all by default.
@@ -126,8 +132,30 @@ class Source:
             DatasetError, CalibrationError, TrajectoryError, ConfigError: It cannot be opened; see `open_dataset`
                 and `select`.
         """
+        if is_camera(self.sequence):
+            raise ConfigError(
+                f"{self.sequence}: is a camera, and this needs a sequence; make one of it with 'stillroom record'"
+            )
         whole = open_dataset(self.sequence, self.camera, self.fps, self.pairing)
         return select(whole, self.frames, self.drop, self.blackout, self.reverse)
+
+    def intake(self) -> Intake:
+        """Open it, be it a sequence or a camera, which is not started yet.
+
+        Raises:
+            StillroomError: It cannot be opened; see `open` and `open_camera`.
+            ConfigError: An option needs a sequence that is known from end to end.
+        """
+        if not is_camera(self.sequence):
+            return Recorded(self.open())
+        odd = [name for name in OF_SEQUENCES if getattr(self, name) != getattr(Source(self.sequence), name)]
+        if odd:
+            asked = ", ".join("how images are paired" if name == "pairing" else f"--{name}" for name in odd)
+            raise ConfigError(
+                f"{self.sequence}: {asked}: for recorded sequences only; leave it out, or record one first, "
+                "with 'stillroom record'"
+            )
+        return Streamed(open_camera(self.sequence))
 
 
 @dataclass(frozen=True)

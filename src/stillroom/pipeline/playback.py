@@ -4,6 +4,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Protocol
@@ -116,14 +117,15 @@ class Paced:
         self._changed = threading.Condition()
         self._ready: deque[Delivered] = deque()
         self._started_s: float | None = None
-        self._has_ended, self._is_left = False, False
-        self._failure: BaseException | None = None
-        self._reader = threading.Thread(target=self._read_all, name="stillroom-images", daemon=True)
+        self._is_left = False
+        self._executor = ThreadPoolExecutor(1, thread_name_prefix="stillroom-images")
+        self._reader: Future[None] = Future()
         self.dropped: list[Arrival] = []
 
     def __enter__(self) -> "Paced":
         """Begin to read."""
-        self._reader.start()
+        self._reader = self._executor.submit(self._deliver_all)
+        self._reader.add_done_callback(self._tell)
         return self
 
     def __exit__(
@@ -133,7 +135,7 @@ class Paced:
         with self._changed:
             self._is_left = True
             self._changed.notify_all()
-        self._reader.join()
+        self._executor.shutdown()
 
     def images(self, stopped: Callable[[], bool]) -> Iterator[Delivered]:
         """Yield the images; see `Playback.images`."""
@@ -143,13 +145,12 @@ class Paced:
                 if not is_first and self._started_s is None:
                     self._started_s = time.perf_counter()
                     self._changed.notify_all()
-                while not self._ready and not self._has_ended and not stopped():
+                while not self._ready and not self._reader.done() and not stopped():
                     self._changed.wait(POLL_S)
                 if stopped():
                     return
                 if not self._ready:
-                    if self._failure is not None:
-                        raise self._failure
+                    self._reader.result()  # raises what went wrong
                     return
                 delivered = self._ready.popleft()
                 self._changed.notify_all()
@@ -167,15 +168,9 @@ class Paced:
             image = self._ready[0].image
             return image if isinstance(image, RgbdImage) else None
 
-    def _read_all(self) -> None:
-        try:
-            self._deliver_all()
-        except BaseException as error:  # noqa: BLE001 - raised where images are taken
-            self._failure = error
-        finally:
-            with self._changed:
-                self._has_ended = True
-                self._changed.notify_all()
+    def _tell(self, reader: "Future[None]") -> None:
+        with self._changed:
+            self._changed.notify_all()
 
     def _deliver_all(self) -> None:
         first: Arrival | None = None

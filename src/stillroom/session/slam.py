@@ -97,7 +97,7 @@ class Slam:
         file = None if map is None else MapFile(Path(map), _map_use(map_use))
         if file is None and _map_use(map_use) is not MapUse.NEW:
             raise ConfigError(f"map_use is '{map_use}', which needs a map: name its file")
-        schedule = schedule_of(schedule) if isinstance(schedule, str) else schedule
+        schedule = _schedule(schedule)
         self._is_live = isinstance(schedule, LiveSchedule)
         config = _configured(method, settings, seed)
         self.config = config if file is None else file.fitting(config)
@@ -108,19 +108,22 @@ class Slam:
         self._n_given, self._last_s, self._is_open = 0, -np.inf, True
         with ExitStack() as opening:
             self._opened: OpenedMap = opening.enter_context(opened_map(file, self.config, camera, sequence))
-            self.system: System = build(
-                self.config,
-                camera,
-                segmenter,
-                schedule,
-                observer=self._newest,
-                clock=self.clock,
-                world=self._opened.world,
-                keeper=self._opened.keeper,
-            )
+            self.system = self._built(segmenter, schedule)
             opening.callback(weakref.finalize(self, one_thread.hold()))  # let go with the object at the latest
             self._opening = opening.pop_all()
         self.doubt(doubts_of_camera(camera))
+
+    def _built(self, segmenter: Segmenter | None, schedule: Schedule) -> System:
+        return build(
+            self.config,
+            self.camera,
+            segmenter,
+            schedule,
+            observer=self._newest,
+            clock=self.clock,
+            world=self._opened.world,
+            keeper=self._opened.keeper,
+        )
 
     def observe(self, observer: RunObserver) -> None:
         """Call an observer with each frame from now on; its time does not count as the frame's."""
@@ -322,6 +325,10 @@ def _configured(method: str | SlamConfig, settings: Iterable[str], seed: int | N
         return configure(method, overrides=settings, seed=seed)
     config = with_overrides(method, settings)
     return config if seed is None else replace(config, seed=seed)
+
+
+def _schedule(asked: str | Schedule) -> Schedule:
+    return schedule_of(asked) if isinstance(asked, str) else asked
 
 
 def _map_use(asked: MapUse | str) -> MapUse:

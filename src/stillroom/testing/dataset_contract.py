@@ -15,6 +15,7 @@ import numpy as np
 from stillroom.data.image import RgbdImage
 from stillroom.data.trajectory import Trajectory
 from stillroom.errors import FrameError
+from stillroom.geometry.camera import Camera
 from stillroom.protocols import Dataset
 
 SAMPLED_FRAMES = 9
@@ -132,10 +133,19 @@ def _load(dataset: Dataset, place: int) -> RgbdImage | None:
 
 
 def _check_image(dataset: Dataset, place: int, image: RgbdImage) -> None:
-    size = (dataset.camera.height, dataset.camera.width)
     assert image.timestamp_s == dataset.timestamps_s[place], f"image {place} has another time than timestamps_s"
     number = int(dataset.numbers[place])
     assert image.index == number, f"image {place} is numbered {image.index}, but numbers says {number}"
+    check_pixels(dataset.camera, place, image)
+
+
+def check_pixels(camera: Camera, place: int, image: RgbdImage) -> None:
+    """Check types, sizes and plausibility of colours and depth of an image of a data set or a camera.
+
+    Raises:
+        AssertionError: Something is wrong with them.
+    """
+    size = (camera.height, camera.width)
     assert image.rgb.dtype == np.uint8, f"image {place}: rgb is {image.rgb.dtype}, not uint8"
     assert image.rgb.shape == (*size, 3), f"image {place}: rgb is {image.rgb.shape}, the camera {size}"
     assert image.depth_m.dtype == np.float32, f"image {place}: depth_m is {image.depth_m.dtype}, not float32"

@@ -34,6 +34,7 @@ from stillroom.protocols import (
 )
 from stillroom.schedule import InOrder
 from stillroom.storage.keeper import NoKeeper
+from stillroom.tracking.flow_tracking import FlowTracking, OrbAlways
 from stillroom.tracking.keyframe_policy import KeyframePolicy
 from stillroom.tracking.relocalizer import Relocalizer
 from stillroom.tracking.tracker import Tracker
@@ -51,6 +52,7 @@ class System:
     keypoint_sieve: KeypointSieve
     sieve: Asking
     tracker: Tracker
+    flow: FlowTracking | OrbAlways
     recovery: Relocalizer
     keyframe_policy: KeyframePolicy
     mapper: LocalMapper
@@ -69,9 +71,11 @@ class System:
         """Track one image; images come in order of time."""
         semantics = self.schedule.submit(self.segmenter, image)  # potentially dynamic; awaited by its readers
         semantics = self.schedule.submit(self.clusterer, image, semantics)  # the same, with clusters of the depth cloud
-        frame = self.features.extract(image)
-        frame = self.keypoint_sieve(frame, semantics)  # sieve 1
-        tracked = self.tracker.track(frame, semantics, self.map)  # sieve 2 inside: a pose, and what is dynamic
+        tracked = self.flow.follow(image, semantics, self.map)  # between keyframes, where the method wants it
+        if tracked is None:
+            frame = self.features.extract(image)
+            frame = self.keypoint_sieve(frame, semantics)  # sieve 1
+            tracked = self.tracker.track(frame, semantics, self.map)  # sieve 2 inside: a pose, and what is dynamic
         if tracked.lost:
             tracked = self.recovery.recover(tracked, semantics, self.map)
         keyframe = -1
@@ -233,26 +237,26 @@ def build(
     segmenter = segmenter or config.semantics.build(parts)
     sieve = timed_part(Asking(config.dynamics.build(parts), world), clock, judge="dynamics", remember="memory")
     tracker = config.tracking.build(parts, sieve, config.low_cost.build(parts, sieve))
+    keyframes, keypoint_sieve = config.keyframes.build(parts), config.keypoints.build(parts)
+    flow = config.tracking.build_flow(tracker, keypoint_sieve, keyframes)
     places = config.places.build(parts)
     places.remember_all()
-    recovery = config.recovery.build(parts, tracker, places)
     dense_mapper = config.dense.build(parts)
-    joiner = config.joining.build(parts, places, after=(dense_mapper.refresh,))
-    loop_closer = config.loops.build(parts, places, after=(dense_mapper.refresh,))
     return System(
         schedule=schedule or InOrder(),
         segmenter=clock.timed("semantics", segmenter),
         clusterer=clock.timed("clusters", config.clusters.build(parts)),
         features=timed_part(config.features.build(parts), clock, extract="features"),
-        keypoint_sieve=config.keypoints.build(parts),
+        keypoint_sieve=keypoint_sieve,
         sieve=sieve,
         tracker=timed_part(tracker, clock, track="tracking"),
-        recovery=timed_part(recovery, clock, recover="recovery"),
-        keyframe_policy=config.keyframes.build(parts),
+        flow=timed_part(flow, clock, follow="flow"),
+        recovery=timed_part(config.recovery.build(parts, tracker, places), clock, recover="recovery"),
+        keyframe_policy=keyframes,
         mapper=timed_part(config.mapping.build(parts), clock, insert="keyframe", refine="mapping", finish="rest"),
         places=timed_part(places, clock, remember="places"),
-        joiner=timed_part(joiner, clock, join="joining"),
-        loop_closer=timed_part(loop_closer, clock, close="loops"),
+        joiner=timed_part(config.joining.build(parts, places, after=(dense_mapper.refresh,)), clock, join="joining"),
+        loop_closer=timed_part(config.loops.build(parts, places, after=(dense_mapper.refresh,)), clock, close="loops"),
         dense_mapper=timed_part(dense_mapper, clock, integrate="dense", carve="carving"),
         keeper=timed_part(keeper, clock, keep="storage") if keeper else NoKeeper(),
         map=world,

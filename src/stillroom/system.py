@@ -38,6 +38,7 @@ from stillroom.protocols import (
 )
 from stillroom.schedule import InOrder, Worker
 from stillroom.storage.keeper import NoKeeper
+from stillroom.tracking.flow_tracking import FlowTracking, OrbAlways
 from stillroom.tracking.keyframe_policy import KeyframePolicy
 from stillroom.tracking.relocalizer import Relocalizer
 from stillroom.tracking.tracker import Tracker
@@ -55,6 +56,7 @@ class System:
     keypoint_sieve: KeypointSieve
     sieve: Asking
     tracker: Tracker
+    flow: FlowTracking | OrbAlways
     recovery: Relocalizer
     keyframe_policy: KeyframePolicy
     mapper: LocalMapper
@@ -68,14 +70,17 @@ class System:
     results: list[FrameSummary] = field(default_factory=list)
     first_keyframe: int = 0
     n_repeated: int = 0
-    _ahead: deque[tuple[RgbdImage, Pending[Frame], Perceived]] = field(default_factory=deque)
+    _ahead: deque[tuple[RgbdImage, Pending[Frame] | None, Perceived]] = field(default_factory=deque)
 
     def process(self, image: RgbdImage) -> FrameResult:
         """Track one image; images come in order of time."""
         extracted, semantics = self._begun(image)
-        frame = self.keypoint_sieve(extracted.result(), semantics)  # sieve 1
         with self.map.lock.frame():
-            tracked = self.tracker.track(frame, semantics, self.map)  # sieve 2 inside: a pose, and what is dynamic
+            tracked = self.flow.follow(image, semantics, self.map)  # between keyframes, where the method wants it
+            if tracked is None:
+                with self.map.lock.let_go():
+                    frame = self.keypoint_sieve(self._extracted(image, extracted), semantics)  # sieve 1
+                tracked = self.tracker.track(frame, semantics, self.map)  # sieve 2 inside: a pose, and what is dynamic
             if tracked.lost:
                 tracked = self.recovery.recover(tracked, semantics, self.map)
             keyframe = -1
@@ -98,7 +103,7 @@ class System:
         submit, waiting = self.schedule.submit, self.map.lock.let_go
         found = submit(Worker.SEMANTICS, self.segmenter, image)  # potentially dynamic; awaited by its readers
         clustered = submit(Worker.CLUSTERS, self.clusterer, image, found)  # the same, with clusters of the depth cloud
-        extracted = submit(Worker.FEATURES, self.features.extract, image)
+        extracted = submit(Worker.FEATURES, self.features.extract, image) if self.flow.extracts_all else None
         self._ahead.append((image, extracted, Perceived(found, clustered, waiting)))
 
     def repeat(self, result: FrameResult, image: RgbdImage) -> FrameResult:
@@ -160,13 +165,17 @@ class System:
         finally:
             self.schedule.close()
 
-    def _begun(self, image: RgbdImage) -> tuple[Pending[Frame], Perceived]:
+    def _begun(self, image: RgbdImage) -> tuple[Pending[Frame] | None, Perceived]:
         """Return what workers do with an image; those begun before it are dropped."""
         self.begin(image)
         while True:
             begun, extracted, semantics = self._ahead.popleft()
             if begun is image:
                 return extracted, semantics
+
+    def _extracted(self, image: RgbdImage, begun: Pending[Frame] | None) -> Frame:
+        """Return the keypoints of an image, which may be begun already."""
+        return (begun or self.schedule.submit(Worker.FEATURES, self.features.extract, image)).result()
 
     @property
     def _mapping_keeps_up(self) -> bool:
@@ -274,29 +283,29 @@ def build(
     config = in_pixels_of(config, camera.pixel_scale)
     clock, world = clock or StageClock(), world or Map(config.features.scales(camera))
     parts = Parts(camera, world, config.seed, clock, schedule or InOrder())
-    segmenter = segmenter or config.semantics.build(parts)
     sieve = timed_part(Asking(config.dynamics.build(parts), world), clock, judge="dynamics", remember="memory")
     tracker = config.tracking.build(parts, sieve, config.low_cost.build(parts, sieve))
+    keyframes, keypoint_sieve = config.keyframes.build(parts), config.keypoints.build(parts)
+    flow = config.tracking.build_flow(tracker, keypoint_sieve, keyframes)
     places = config.places.build(parts)
     places.remember_all()
     dense_mapper = config.dense.build(parts)
     refresh = partial(parts.schedule.submit, Worker.DENSE, dense_mapper.refresh)
-    joiner = config.joining.build(parts, places, after=(refresh,))
-    loop_closer = config.loops.build(parts, places, after=(refresh,))
     return System(
         schedule=parts.schedule,
-        segmenter=clock.timed("semantics", segmenter),
+        segmenter=clock.timed("semantics", segmenter or config.semantics.build(parts)),
         clusterer=clock.timed("clusters", config.clusters.build(parts)),
         features=timed_part(config.features.build(parts), clock, extract="features"),
-        keypoint_sieve=config.keypoints.build(parts),
+        keypoint_sieve=keypoint_sieve,
         sieve=sieve,
         tracker=timed_part(tracker, clock, track="tracking"),
+        flow=timed_part(flow, clock, follow="flow"),
         recovery=timed_part(config.recovery.build(parts, tracker, places), clock, recover="recovery"),
-        keyframe_policy=config.keyframes.build(parts),
+        keyframe_policy=keyframes,
         mapper=timed_part(config.mapping.build(parts), clock, insert="keyframe", refine="mapping", finish="rest"),
         places=timed_part(places, clock, remember="places"),
-        joiner=timed_part(joiner, clock, join="joining"),
-        loop_closer=timed_part(loop_closer, clock, close="loops"),
+        joiner=timed_part(config.joining.build(parts, places, after=(refresh,)), clock, join="joining"),
+        loop_closer=timed_part(config.loops.build(parts, places, after=(refresh,)), clock, close="loops"),
         dense_mapper=timed_part(dense_mapper, clock, integrate="dense", carve="carving"),
         keeper=timed_part(keeper, clock, keep="storage") if keeper else NoKeeper(),
         map=world,

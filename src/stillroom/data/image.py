@@ -38,6 +38,23 @@ class RgbdImage:
         """Brightness (H, W) uint8."""
         return np.asarray(cv2.cvtColor(self.rgb, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
 
+    def shrunk(self, times: int) -> U8:
+        """Return the brightness so many times smaller, made once: blocks of pixels, averaged.
+
+        Pixel x of the small image has its centre at times·x + (times − 1)/2 of the large one.
+        """
+        known = self._shrunk.get(times)
+        if known is None:
+            size = self.width // times, self.height // times
+            cut = self.gray[: size[1] * times, : size[0] * times]
+            known = np.asarray(cv2.resize(cut, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+            self._shrunk[times] = known
+        return known
+
+    @cached_property
+    def _shrunk(self) -> dict[int, U8]:
+        return {}
+
     @property
     def height(self) -> int:
         """Rows."""

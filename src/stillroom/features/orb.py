@@ -242,7 +242,7 @@ class OrbExtractor:
         angle_rad, descriptors = self._describe(levels, corners, chosen)
         raw_px = self._to_finest_level(corners, chosen)
         px = self.camera.undistort(raw_px)
-        depth_m = _depth_at(image.depth_m, raw_px, *self._range_m)
+        depth_m = depth_at(image.depth_m, raw_px, *self._range_m)
         keypoints = Keypoints(
             px=px,
             raw_px=raw_px,
@@ -284,7 +284,7 @@ class OrbExtractor:
 
 
 @njit(nogil=True, cache=True)
-def _depth_at(depth_m: F32, raw_px: F32, min_m: np.float32, max_m: np.float32) -> F32:
+def depth_at(depth_m: F32, raw_px: F32, min_m: np.float32, max_m: np.float32) -> F32:
     """Return the depth (N,) at the nearest pixel, outside of the image at its edge; 0 where it is not in range."""
     height, width = depth_m.shape
     found_m = np.zeros(len(raw_px), np.float32)

@@ -54,7 +54,7 @@ class KeyframePolicy:
         self._since_recovery = 1 << 30
 
     def wants(self, tracked: Tracked, world: Map, mapping_keeps_up: bool = True) -> bool:
-        """Return whether the frame should become a keyframe.
+        """Return whether the frame should become a keyframe, and count it.
 
         Args:
             tracked: The frame.
@@ -62,28 +62,29 @@ class KeyframePolicy:
             mapping_keeps_up: Whether mapping has time for one; only a frame that begins a map does not ask for it
                 (ORB-SLAM2: NeedNewKeyFrame).
         """
-        self._since_keyframe += 1
-        self._since_recovery = 0 if tracked.recovered else self._since_recovery + 1
+        begins = _begins(tracked, world)
+        wanted = (mapping_keeps_up or begins) and self.is_due(tracked, world)
+        self._since_keyframe = 0 if wanted else self._since_keyframe + 1
+        self._since_recovery = 1 << 30 if wanted and begins else 0 if tracked.recovered else self._since_recovery + 1
+        return wanted
+
+    def is_due(self, tracked: Tracked, world: Map) -> bool:
+        """Return what `wants` would, without counting the frame."""
         if tracked.state is not TrackingState.OK or not self.config.enabled:
             return False
-        begins = len(world.keyframes) == 0 or tracked.recovery is Recovery.NEW_SUBMAP
-        wanted = begins or (mapping_keeps_up and self._is_due(tracked, world))
-        if begins:
-            self._since_recovery = 1 << 30
-        if wanted:
-            self._since_keyframe = 0
-        return wanted
+        return _begins(tracked, world) or self._is_due(tracked, world)
 
     def _is_due(self, tracked: Tracked, world: Map) -> bool:
         config = self.config
-        if self._since_recovery < config.quiet_after_recovery < len(world.alive_keyframes()):
+        since_recovery = 0 if tracked.recovered else self._since_recovery + 1
+        if since_recovery < config.quiet_after_recovery < len(world.alive_keyframes()):
             return False
         if tracked.n_inliers <= config.min_inliers:
             return False
         if self._close_needed(tracked):
             return True
         n_reference = int((world.points_of(tracked.reference_keyframe) >= 0).sum())
-        return self._since_keyframe >= config.min_gap and tracked.n_inliers < config.share * n_reference
+        return self._since_keyframe + 1 >= config.min_gap and tracked.n_inliers < config.share * n_reference
 
     def _close_needed(self, tracked: Tracked) -> bool:
         depth_m = tracked.frame.keypoints.depth_m
@@ -92,3 +93,7 @@ class KeyframePolicy:
         n_tracked = int(np.count_nonzero(close & tracked.is_matched))
         n_untracked = int(np.count_nonzero(close & ~tracked.is_matched))
         return n_tracked < self.config.min_tracked_close and n_untracked > self.config.max_untracked_close
+
+
+def _begins(tracked: Tracked, world: Map) -> bool:
+    return len(world.keyframes) == 0 or tracked.recovery is Recovery.NEW_SUBMAP

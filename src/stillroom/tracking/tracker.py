@@ -16,12 +16,14 @@ from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64, I32
 from stillroom.optimize import observations
 from stillroom.optimize.pose import PoseOptimizerConfig
-from stillroom.protocols import MatchSieve, Parts, Pending, QuickTracking
+from stillroom.protocols import KeypointSieve, MatchSieve, Parts, Pending, QuickTracking
 from stillroom.tracking import correspondences
+from stillroom.tracking.flow_tracking import FlowConfig, FlowTracking, KeyframeRule, OrbAlways
 from stillroom.tracking.low_cost import NoLowCost
 
 MAX_KEYFRAMES = 80
 _NEIGHBOURS = 10
+BETWEEN_KEYFRAMES = ("orb", "flow")
 
 
 # The constant-velocity motion model.
@@ -110,6 +112,10 @@ class TrackerConfig:
         min_inliers_recovered: The same for a second after tracking was lost.
         local_window: Factor on the search window of the local-map stage. ORB-SLAM2 has 3; with 5 matches are kept in a
             fast rotation.
+        between_keyframes: orb, keypoints of its own for every frame; or flow, where tracking follows those of the last
+            frame between keyframes.
+        flow: When and how it does.
+        pose: How poses are found.
     """
 
     min_initial_keypoints: int = bounded(200, least=0)
@@ -120,11 +126,21 @@ class TrackerConfig:
     min_inliers: int = bounded(30, least=0)
     min_inliers_recovered: int = bounded(50, least=0)
     local_window: float = bounded(5.0, above=0)
+    between_keyframes: str = bounded("orb", one_of=BETWEEN_KEYFRAMES)
+    flow: FlowConfig = field(default_factory=FlowConfig)
     pose: PoseOptimizerConfig = field(default_factory=PoseOptimizerConfig)
 
     def build(self, parts: Parts, sieve: MatchSieve, quick: QuickTracking | None = None) -> "Tracker":
         """Return a tracker that calls the sieve, and starts from the pose of low-cost tracking where there is one."""
         return Tracker(self, sieve, quick or NoLowCost())
+
+    def build_flow(
+        self, tracker: "Tracker", keypoint_sieve: KeypointSieve, keyframes: KeyframeRule
+    ) -> FlowTracking | OrbAlways:
+        """Return what tracks frames by flow for a tracker, or never does."""
+        if self.between_keyframes == "orb":
+            return OrbAlways()
+        return FlowTracking(self.flow, tracker, keypoint_sieve, keyframes)
 
 
 @dataclass(frozen=True)
@@ -213,6 +229,46 @@ class Tracker:
             return _lost(frame, tracked.reference_keyframe, tracked.motion)
         return replace(tracked, recovery=recovery)
 
+    def expected(self, world: Map) -> tuple[Tracked, F64] | None:
+        """Return the last frame as known now, and the motion model's guess `T_cam_world` (4, 4) of the next one.
+
+        Args:
+            world: The map.
+
+        Returns:
+            None where either is unknown, and for a second after tracking was lost.
+        """
+        last = self._last_as_known_now(world)
+        if last is None or last.T_world_cam is None or not self._velocity.is_known or self._is_recovering:
+            return None
+        return last, self._velocity.predict(last.T_world_cam)
+
+    def locate_followed(
+        self, frame: Frame, guess: F64, point_ids: I32, reference: int, semantics: Pending[Semantics], world: Map
+    ) -> Tracked:
+        """Return a frame whose keypoints see known points with its pose; nothing else is searched.
+
+        Args:
+            frame: The frame, after sieve 1.
+            guess: Its pose as expected (4, 4).
+            point_ids: The points (N,) that its keypoints see.
+            reference: Reference keyframe of the frame before it.
+            semantics: What is potentially dynamic in it.
+            world: The map.
+        """
+        usable = Matches.of(np.where(frame.is_static, point_ids, np.int32(-1)))
+        unasked = Motion.none(len(frame), frame.image.height, frame.image.width)
+        fix = self._fix(frame, guess, usable, unasked, world)
+        matches = Matches.of(fix.point_ids)
+        motion = self.sieve.judge(Question(Stage.LOCAL_MAP, frame, matches, semantics, fix.T_cam_world, world))
+        kept = matches.keep(motion.is_static[matches.keypoint])
+        if len(kept) < len(matches) or motion.p_static is not None:
+            fix = self._fix(frame, fix.T_cam_world, kept, motion, world)
+        world.points.n_visible[matches.point_id] += 1
+        world.points.n_found[fix.point_ids[fix.point_ids >= 0]] += 1
+        T_world_cam = se3.orthonormalize(se3.inverse(fix.T_cam_world))
+        return Tracked(frame, TrackingState.OK, T_world_cam, fix.point_ids, motion, _alive(reference, world))
+
     def remember(self, tracked: Tracked, world: Map) -> None:
         """Store the result of a frame, after mapping, for the next one."""
         if tracked.T_world_cam is None:
@@ -259,9 +315,7 @@ class Tracker:
         self, frame: Frame, last: Tracked, semantics: Pending[Semantics], world: Map
     ) -> _Fix | None:
         assert last.T_world_cam is not None
-        keyframe = last.reference_keyframe
-        while not world.keyframes.is_alive[keyframe]:
-            keyframe = int(world.keyframes.parent[keyframe])
+        keyframe = _alive(last.reference_keyframe, world)
         matches = correspondences.with_keyframe(frame, keyframe, world)
         guess = se3.inverse(last.T_world_cam)
         motion = self.sieve.judge(Question(Stage.REFERENCE_KEYFRAME, frame, matches, semantics, guess, world))
@@ -301,8 +355,12 @@ class Tracker:
         )
 
     def _inliers_needed(self) -> int:
-        recovering = self._frames_since_recovery < 30
-        return self.config.min_inliers_recovered if recovering else self.config.min_inliers
+        return self.config.min_inliers_recovered if self._is_recovering else self.config.min_inliers
+
+    @property
+    def _is_recovering(self) -> bool:
+        """Whether the camera was lost less than a second ago."""
+        return self._frames_since_recovery < 30
 
     def _fix(self, frame: Frame, guess: F64, matches: Matches, motion: Motion, world: Map) -> _Fix:
         """Optimise the pose over the matches and return it with its inliers."""
@@ -320,6 +378,13 @@ class Tracker:
         inlier = estimate.is_inlier
         point_ids[matches.keypoint[inlier]] = matches.point_id[inlier]
         return _Fix(estimate.T_cam_world, point_ids, motion, matches.point_id[~inlier])
+
+
+def _alive(keyframe: int, world: Map) -> int:
+    """Return a keyframe, or the nearest of its ancestors that was not culled."""
+    while not world.keyframes.is_alive[keyframe]:
+        keyframe = int(world.keyframes.parent[keyframe])
+    return keyframe
 
 
 def _lost(frame: Frame, reference: int, motion: Motion | None = None) -> Tracked:

@@ -1,17 +1,13 @@
 """The earlier images that the present one is compared with."""
 
 import itertools
-from collections import deque
 from dataclasses import dataclass, field, replace
-
-import cv2
-import numpy as np
 
 from stillroom.data.frame import Frame
 from stillroom.data.image import RgbdImage
 from stillroom.dynamics.homography.point_motion import SHRINK, ImageView
 from stillroom.geometry import se3
-from stillroom.geometry.arrays import F64, U8
+from stillroom.geometry.arrays import F64
 from stillroom.geometry.pixels import in_pixels, pixel_scale
 
 TOO_OLD_S = 1.0
@@ -34,25 +30,10 @@ class EarlierImage:
     T_cam_world: F64
 
 
-_latest: deque[tuple[RgbdImage, ImageView]] = deque(maxlen=1)
-
-
 def view_of(image: RgbdImage) -> ImageView:
-    """Return an image as the point test reads it; that of the latest image is kept, for two sieves ask for it."""
-    for known, view in tuple(_latest):
-        if known is image:
-            return view
+    """Return an image as the point test reads it."""
     times = in_pixels(SHRINK, pixel_scale(image.width, image.height))
-    made = ImageView(_shrunk(image.gray, times), _shrunk(image.gray, 2 * times), image.depth_m)
-    _latest.append((image, made))
-    return made
-
-
-def _shrunk(gray: U8, times: int) -> U8:
-    """Average blocks of pixels: pixel x of the small image has its centre at times·x + (times − 1)/2 of the large."""
-    size = (gray.shape[1] // times, gray.shape[0] // times)
-    cut = gray[: size[1] * times, : size[0] * times]
-    return np.asarray(cv2.resize(cut, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    return ImageView(image.shrunk(times), image.shrunk(2 * times), image.depth_m)
 
 
 class Past:

@@ -5,6 +5,7 @@ import hashlib
 import os
 import subprocess
 import sys
+import threading
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -175,6 +176,36 @@ def test_a_system_that_is_forgotten_lets_go_of_the_settings():
     del slam
     gc.collect()
     assert settings_of_the_process() == before
+
+
+def workers():
+    return [thread.name for thread in threading.enumerate() if thread.name.startswith("stillroom-")]
+
+
+def test_a_live_system_tracks_while_workers_map_and_leaves_no_thread():
+    images = room()
+    with sr.Slam("oc-slam", images.camera, settings=TRUE_BOXES, schedule="live") as slam:
+        for image in images:
+            assert slam.process(image).T_world_cam is not None
+        assert len(slam.dense_cloud()) > 10_000  # while frames come: its own worker makes it
+        assert workers()
+    assert workers() == []
+    assert sr.evaluate(slam.trajectory(), images).as_given.ate_se3_m.rmse < 0.01
+    assert len(slam.dense_cloud()) > 10_000
+    assert workers() == []
+
+
+def test_a_live_system_that_is_forgotten_leaves_no_thread():
+    images = room("0:3")
+    slam = sr.Slam("orb-slam2", images.camera, schedule="live")
+    for image in images:
+        slam.process(image)
+    del slam, image
+    gc.collect()
+    for thread in threading.enumerate():
+        if thread.name.startswith("stillroom-"):
+            thread.join(60.0)
+    assert workers() == []
 
 
 def test_a_map_is_saved_read_and_localized_in(tmp_path):

@@ -55,6 +55,7 @@ COMMANDS = (
         "Track a camera through a rendered room with people in it, by orb-slam2 and by oc-slam, and compare the two.",
     ),
     Command("run", "stillroom.cli.run:run", "Track the camera through a sequence."),
+    Command("view", "stillroom.cli.view:view", "Show a finished run in rerun's viewer."),
     Command("evaluate", "stillroom.cli.evaluate:evaluate", "Evaluate a trajectory: ATE and RPE."),
     Command(
         "inpaint",

@@ -50,6 +50,11 @@ ExportMasks = Annotated[
     Path | None,
     typer.Option(metavar="DIR", help="Write each frame's moving pixels here, as a PNG named like its colour image."),
 ]
+View = Annotated[bool, typer.Option("--view", help="Show the run in rerun's window while it goes on.")]
+Rerun = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE.rrd", help="Write what --view shows into this file; needs no display."),
+]
 
 
 def run(
@@ -76,6 +81,8 @@ def run(
     settings: Settings = None,
     config: ConfigFile = None,
     export_masks: ExportMasks = None,
+    view: View = False,
+    rerun: Rerun = None,
     pictures: Annotated[int, typer.Option(min=0, metavar="N", help="How many frames to draw; 0: no pictures.")] = 8,
 ) -> None:
     """Track the camera through a sequence.
@@ -89,7 +96,9 @@ def run(
         stillroom run synthetic:walking --frames 0:90 --set semantics.kind=truth
         stillroom run rgbd_bonn_crowd --frames :200 --map room.stillmap
         stillroom run rgbd_bonn_crowd --frames 200: --map room.stillmap --localize
+        stillroom run rgbd_bonn_crowd --frames 150:350 --view
     """
+    from stillroom.cli.view import destinations
     from stillroom.datasets.pairing import Pairing
     from stillroom.pipeline import RunOptions, Source
     from stillroom.presets.registry import configure
@@ -105,6 +114,7 @@ def run(
         asked=map_file.described() if map_file else {},
         map=map_file,
         masks=export_masks,
+        viewers=destinations(view, rerun),
     )
     _track(chosen, source, options, tuple(detector_off or ()))
 

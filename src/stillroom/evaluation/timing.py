@@ -129,6 +129,12 @@ class StageClock:
         """Number of frames ended."""
         return len(self._frames)
 
+    def newest_ms(self) -> dict[str, float]:
+        """Return the wall time [ms] of each stage that ran in the frame that ended last; none before the first."""
+        with self._lock:
+            costs = self._frames[-1][1] if self._frames else {}
+            return {name: cost.wall_ns * 1e-6 for name, cost in costs.items()}
+
     def summary(self) -> list[StageTime]:
         """Return the time of each stage, the most expensive first."""
         summaries = [self._summary(name) for name in self._stages()]

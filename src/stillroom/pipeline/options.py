@@ -17,6 +17,7 @@ from stillroom.protocols import Dataset, RunObserver, Segmenter
 from stillroom.session.map_file import MapFile
 from stillroom.session.plausibility import Doubt
 from stillroom.system import System
+from stillroom.viz.viewer.recording import Destination
 
 # What a run came to.
 
@@ -141,6 +142,7 @@ class RunOptions:
         asked: Further entries to note there.
         map: The map file to make, to extend, or to localize in.
         masks: The folder into which the mask of dynamic pixels of each frame is written; None to write none.
+        viewers: Where the run is shown while it goes on.
     """
 
     root: Path | None = Path("results")
@@ -153,6 +155,7 @@ class RunOptions:
     asked: dict[str, Any] = field(default_factory=dict)
     map: MapFile | None = None
     masks: Path | None = None
+    viewers: tuple[Destination, ...] = ()
 
 
 def detector_ranges(texts: Iterable[str], dataset: Dataset) -> tuple[tuple[int, int], ...]:

@@ -21,6 +21,7 @@ from stillroom.pipeline.ornaments import Ornamental
 from stillroom.pipeline.plots import draw_maps, draw_plots
 from stillroom.pipeline.stop_request import StopRequest
 from stillroom.pipeline.untracked import Seen
+from stillroom.pipeline.viewing import Viewers, viewed
 from stillroom.protocols import Dataset, RunObserver
 from stillroom.semantics.detector import withhold
 from stillroom.semantics.mask_files import MaskFilesConfig
@@ -146,7 +147,11 @@ def run(
             slam.observe(MaskWriter(options.masks))
         if options.observe is not None:
             slam.observe(options.observe(slam.system))
-        with _concluded_in_any_case(outcome, dataset, stop, options.pictures > 0), slam:
+        with (
+            viewed(slam, dataset, options.viewers, outcome.ornaments) as viewers,
+            _concluded_in_any_case(outcome, dataset, stop, options.pictures > 0, viewers),
+            slam,
+        ):
             progress.start(len(dataset))
             try:
                 _track_all(dataset, slam, outcome, stop, progress)
@@ -178,7 +183,7 @@ def _track_all(dataset: Dataset, slam: Slam, outcome: RunOutcome, stop: StopRequ
 
 @contextmanager
 def _concluded_in_any_case(
-    outcome: RunOutcome, dataset: Dataset, stop: StopRequest, with_plots: bool
+    outcome: RunOutcome, dataset: Dataset, stop: StopRequest, with_plots: bool, viewers: Viewers
 ) -> Iterator[None]:
     """Evaluate and write the results when the block ends, however it ends; signals are then ignored."""
     try:
@@ -189,13 +194,13 @@ def _concluded_in_any_case(
         outcome.interrupted = True
     except BaseException:
         stop.hold()
-        _conclude(outcome, dataset, with_plots)
+        _conclude(outcome, dataset, with_plots, viewers)
         raise
-    _conclude(outcome, dataset, with_plots)
+    _conclude(outcome, dataset, with_plots, viewers)
     outcome.interrupted |= stop.asked
 
 
-def _conclude(outcome: RunOutcome, dataset: Dataset, with_plots: bool) -> None:
+def _conclude(outcome: RunOutcome, dataset: Dataset, with_plots: bool, viewers: Viewers) -> None:
     trajectory, truth, folder = outcome.system.trajectory(), results.Truth.of(dataset), outcome.folder
     outcome.has_groundtruth = truth is not None or groundtruth_flaw(dataset) != ""
     outcome.n_unpaired = _n_unpaired(dataset, outcome.n_given)
@@ -205,6 +210,7 @@ def _conclude(outcome: RunOutcome, dataset: Dataset, with_plots: bool) -> None:
     finally:  # what was tracked is written even where memory does not suffice for figures
         if folder is not None:
             cloud = results.write_results(folder, outcome, truth)
+        viewers.conclude(cloud)
     if folder is None:
         return
     title = f"{outcome.method} on {dataset.name}"

@@ -52,7 +52,9 @@ class Viewing:
         try:
             yield
         except FAILURES as error:
-            self._viewer = None
+            viewer, self._viewer = self._viewer, None
+            if viewer is not None:
+                viewer.abandon()
             log.warning(
                 "nothing is shown from %s on, and the run goes on: %s [see troubleshooting: viewer]",
                 moment,

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from stillroom.data.dense_cloud import DenseCloud
-from stillroom.geometry.arrays import F64
+from stillroom.geometry.arrays import F64, Floats
 from stillroom.viz.cloud.view import default_view
 from stillroom.viz.viewer import entities as at
 from stillroom.viz.viewer.recording import IMAGE
@@ -22,11 +22,11 @@ SLOWEST_MS = 150.0
 YAW_RAD = 0.35
 """How far the eye stands to the side of the camera."""
 
-NEARER = 0.42
-"""rerun's lens is that much wider than the one of the pictures of dense maps: the eye is that much nearer."""
+WIDTH, HEIGHT = 0.85, 0.42
+"""Half of the picture of the room, as tangents: a little less than rerun's lens shows."""
 
-BEHIND_M = 0.9
-"""How far behind the keyframes the eye stands at least, so that they are seen too [m]."""
+MOST = 97.0
+"""Percentage of the cloud that is to be seen; all keyframes are."""
 
 
 @dataclass(frozen=True)
@@ -45,17 +45,21 @@ class Eye:
 
     @classmethod
     def of(cls, cloud: DenseCloud | None, T_world_keyframes: F64) -> "Eye":
-        """Return the eye that sees all of a cloud from behind the keyframes (K, 4, 4); the default where either is none."""
+        """Return the eye that sees a cloud and keyframes (K, 4, 4) from behind; the default where either is none."""
         if cloud is None or len(cloud) == 0 or len(T_world_keyframes) == 0:
             return cls()
         T_world_eye = default_view(cloud, T_world_keyframes, yaw_rad=YAW_RAD).T_world_cam
-        forward, target_m = T_world_eye[:3, 2], np.median(cloud.positions_m, axis=0).astype(np.float64)
-        # Along its line of sight only: the target is to lie in the middle.
-        target_m = T_world_eye[:3, 3] + ((target_m - T_world_eye[:3, 3]) @ forward) * forward
-        nearest_m = float(np.min((T_world_keyframes[:, :3, 3] - target_m) @ forward))
-        distance_m = max(NEARER * float(np.linalg.norm(T_world_eye[:3, 3] - target_m)), BEHIND_M - nearest_m)
-        position_m = target_m - distance_m * forward
+        target_m, forward = np.median(cloud.positions_m, axis=0).astype(np.float64), T_world_eye[:3, 2]
+        seen = _distances_m(cloud.positions_m - target_m, T_world_eye)
+        keyframes = _distances_m(T_world_keyframes[:, :3, 3] - target_m, T_world_eye)
+        position_m = target_m - max(float(np.percentile(seen, MOST)), float(keyframes.max())) * forward
         return cls(tuple(position_m.tolist()), tuple(target_m.tolist()), tuple((-T_world_eye[:3, 1]).tolist()))
+
+
+def _distances_m(offset_m: Floats, T_world_eye: F64) -> F64:
+    """Return how far (N,) the eye must be from its target to see each point (N, 3), relative to it [m]."""
+    x_m, y_m, z_m = (offset_m @ T_world_eye[:3, :3]).T
+    return np.asarray(np.maximum(np.abs(x_m) / WIDTH, np.abs(y_m) / HEIGHT) - z_m, dtype=np.float64)
 
 
 def arranged(rr: Any, has_clusters: bool, has_images: bool = True, eye: Eye | None = None) -> Any:

@@ -118,14 +118,20 @@ class RunViewer:
         cloud = cloud or self._watched.dense()
         self._show_dense(cloud)
         if self._recording.is_file:  # who looks at a window has turned it as they like
-            table = self._watched.world.keyframes
-            eye = Eye.of(cloud, table.T_world_cam[table.is_alive])
+            world = self._watched.world
+            with world.lock:
+                T_world_keyframes = world.keyframes.T_world_cam[world.keyframes.is_alive]
+            eye = Eye.of(cloud, T_world_keyframes)
             self._recording.arrange(arranged(self._recording.rr, bool(self._has_clusters), eye=eye))
         self._recording.flush()
 
     def close(self) -> None:
         """Let go of the file or window."""
         self._recording.close()
+
+    def abandon(self) -> None:
+        """Let go of it after a failure, without waiting for it."""
+        self._recording.abandon()
 
     def _arrange(self, has_clusters: bool) -> None:
         """Arrange the views when it is known what there is to see, and again when clusters come later."""

@@ -2,6 +2,8 @@
 
 import importlib.util
 import os
+import sys
+import threading
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,6 +20,11 @@ PATIENCE_S = 3.0
 PATIENCE_WITH_FILE_S = 10.0
 """How long a disk may take. A full one is found by waiting too: rerun's own thread writes the file."""
 
+DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET")
+"""Variables that name a display on Linux."""
+
+INSTEAD = "write a file with --rerun FILE.rrd, and open it where there is a display [see troubleshooting: viewer]"
+
 QUIET = "off"
 """For rerun's own log, which would repeat on stderr what is raised here."""
 
@@ -33,14 +40,16 @@ class Destination:
     file: Path | None = None
 
     def require_usable(self) -> None:
-        """See to it that rerun is installed, and the file's name and folder are right; nothing is opened.
+        """See to it that rerun is installed, and there is a display, or a place for the file; nothing is opened.
 
         Raises:
             MissingExtraError: rerun is not installed.
-            ConfigError: The file has another suffix, or no folder to lie in.
+            ConfigError: There is no display for a window; the file has another suffix, or no folder to lie in.
         """
         require_rerun()
         if self.file is None:
+            if sys.platform == "linux" and not any(map(os.environ.get, DISPLAYS)):
+                raise ConfigError(f"there is no display for the viewer's window; {INSTEAD}")
             return
         if self.file.suffix != SUFFIX:
             raise ConfigError(f"{self.file}: rerun knows its files by their suffix; let the name end in {SUFFIX}")
@@ -122,6 +131,15 @@ class Recording:
         """Let go of the file or window; the window stays open."""
         self._stream.disconnect()
 
+    def abandon(self) -> None:
+        """Let go of a file or window that does not take anything any more, without waiting for it.
+
+        rerun would wait for it when the program ends, for ever where a window hangs; so it is told not to, and a
+        daemon thread takes the wait over.
+        """
+        self.rr.unregister_shutdown()
+        threading.Thread(target=self._stream.disconnect, name="abandoned viewer", daemon=True).start()
+
     def _open_window(self) -> None:
         import rerun_cli
 
@@ -158,10 +176,7 @@ def load_rerun() -> Any:
 def _why_not(destination: Destination, error: Exception) -> str:
     if destination.file is not None:
         return f"{destination.file}: cannot be written ({_first_line(error)}); choose another place"
-    return (
-        f"the viewer's window does not open ({_first_line(error)}); without a display, write a file with --rerun "
-        "FILE.rrd and open it elsewhere [see troubleshooting: viewer]"
-    )
+    return f"the viewer's window does not open ({_first_line(error)}); {INSTEAD}"
 
 
 def _first_line(error: Exception) -> str:

@@ -23,23 +23,23 @@ JPEG_QUALITY = 80
 MATCHED_PX, UNMATCHED_PX = 3.2, 1.8
 """Radii of static keypoints with a map point and without one; dynamic ones have the first."""
 
-FRUSTUM_M, IMAGE_PLANE_M = 0.06, 0.25
+FRUSTUM_M, IMAGE_PLANE_M = 0.05, 0.2
 """Depth of a keyframe's frustum, and how far before the camera its image stands [m]."""
 
-LINE_UI, THIN_UI, POINT_UI = -1.8, -0.8, -1.8
+LINE_UI, THIN_UI, POINT_UI = -2.4, -0.6, -1.8
 """Radii of lines and points in points of the screen, which rerun tells from metres by the sign."""
 
 MOVABLE_CLASS, MOVING_CLASS, PLANE_CLASS, FIRST_CLUSTER_CLASS = 1, 2, 1, 2
 OPACITY = 0.45
 COVISIBILITY_COLOR, LOOP_COLOR = style.ESTIMATES[2], style.ESTIMATES[1]
 STAGE_COLORS = {
-    "frame": style.QUIET,
+    "frame": style.FAINT,
     "semantics": style.ESTIMATES[4],
     "clusters": style.ESTIMATES[3],
     "features": style.ESTIMATES[0],
     "tracking": style.ESTIMATES[2],
     "mapping": style.ESTIMATES[1],
-    "dense": style.ESTIMATES[5],
+    "dense": "#8fb8de",
 }
 """The stages that are plotted at first; all are recorded, and may be added in the viewer."""
 
@@ -47,7 +47,10 @@ STATES = {TrackingState.OK: STATIC, TrackingState.LOST: MOVING, TrackingState.NO
 
 
 class Scene:
-    """Shows the nouns of a run in a recording. Pixel centres lie at integers here, and half a pixel further in rerun."""
+    """Shows the nouns of a run in a recording.
+
+    Pixel centres lie at integers here, and half a pixel further in rerun.
+    """
 
     def __init__(self, recording: Recording) -> None:
         """Begin with what does not change."""
@@ -97,7 +100,7 @@ class Scene:
             self.recording.log(at.CAMERA, shown)
 
     def keypoints(self, raw_px: Floats, is_static: Bool, is_matched: Bool) -> None:
-        """Show keypoints (N, 2) of the image as taken: static ones in green, larger where matched, dynamic ones in red."""
+        """Show keypoints (N, 2) of the image as taken [px]: static green, larger where matched (N,), dynamic red."""
         rr, px = self._rr, np.asarray(raw_px, dtype=np.float32) + np.float32(0.5)
         radii = np.where(is_matched[is_static], MATCHED_PX, UNMATCHED_PX)
         self.recording.log(at.STATIC, rr.Points2D(px[is_static], radii=radii, colors=STATIC))

@@ -56,6 +56,7 @@ COMMANDS = (
     ),
     Command("run", "stillroom.cli.run:run", "Track the camera through a sequence."),
     Command("record", "stillroom.cli.record:record", "Keep what a camera sees as a sequence."),
+    Command("view", "stillroom.cli.view:view", "Show a finished run in rerun's viewer."),
     Command("evaluate", "stillroom.cli.evaluate:evaluate", "Evaluate a trajectory: ATE and RPE."),
     Command(
         "inpaint",

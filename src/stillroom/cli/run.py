@@ -63,6 +63,11 @@ Speed = Annotated[
         min=0, metavar="F", help="Live: how fast a recording is played; 1 by default; 0: no image is dropped."
     ),
 ]
+View = Annotated[bool, typer.Option("--view", help="Show the run in rerun's window while it goes on.")]
+Rerun = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE.rrd", help="Write what --view shows into this file; needs no display."),
+]
 Images = Annotated[
     str,
     typer.Argument(
@@ -95,6 +100,8 @@ def run(
     export_masks: ExportMasks = None,
     schedule: ScheduleOption = "in-order",
     speed: Speed = None,
+    view: View = False,
+    rerun: Rerun = None,
     pictures: Annotated[int, typer.Option(min=0, metavar="N", help="How many frames to draw; 0: no pictures.")] = 8,
 ) -> None:
     """Track the camera through a sequence.
@@ -110,7 +117,9 @@ def run(
         stillroom run rgbd_bonn_crowd --frames :200 --map room.stillmap
         stillroom run rgbd_bonn_crowd --frames 200: --map room.stillmap --localize
         stillroom run camera:realsense --map room.stillmap
+        stillroom run rgbd_bonn_crowd --frames 150:350 --view
     """
+    from stillroom.cli.view import destinations
     from stillroom.datasets.pairing import Pairing
     from stillroom.pipeline import RunOptions, Source
     from stillroom.presets.registry import configure
@@ -129,6 +138,7 @@ def run(
         masks=export_masks,
         schedule=schedule_of(schedule),
         speed=_speed(schedule, speed),
+        viewers=destinations(view, rerun),
     )
     _track(chosen, source, options, tuple(detector_off or ()))
 

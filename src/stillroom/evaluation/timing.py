@@ -150,6 +150,13 @@ class StageClock:
         """Number of frames ended."""
         return len(self._indices)
 
+    def newest_ms(self) -> dict[str, float]:
+        """Return the wall time [ms] of each stage that ran in the frame that ended last; none before the first."""
+        with self._lock:
+            last = len(self._indices) - 1
+            ended = {name: column for name, column in self._columns.items() if column.row[-1] == last}
+            return {name: column.wall_ns[-1] * 1e-6 for name, column in ended.items()}
+
     def summary(self) -> list[StageTime]:
         """Return the time of each stage, the most expensive first."""
         summaries = [self._summary(name, column) for name, column in self._columns.items()]

@@ -21,6 +21,7 @@ from stillroom.schedule import InOrder
 from stillroom.session.map_file import MapFile
 from stillroom.session.plausibility import Doubt
 from stillroom.system import System
+from stillroom.viz.viewer.recording import Destination
 
 OF_SEQUENCES = ("camera", "fps", "frames", "drop", "blackout", "reverse", "pairing")
 """What can be asked of a recorded sequence only."""
@@ -175,6 +176,7 @@ class RunOptions:
         masks: The folder into which the mask of dynamic pixels of each frame is written; None to write none.
         schedule: When work runs; that of `segmenter` too. A live one plays the images at their own times.
         speed: Under a live schedule, seconds of a recording that are played in one; 0: one image after the other.
+        viewers: Where the run is shown while it goes on.
     """
 
     root: Path | None = Path("results")
@@ -189,6 +191,7 @@ class RunOptions:
     masks: Path | None = None
     schedule: Schedule = field(default_factory=InOrder)
     speed: float = 1.0
+    viewers: tuple[Destination, ...] = ()
 
 
 def detector_ranges(texts: Iterable[str], dataset: Dataset) -> tuple[tuple[int, int], ...]:

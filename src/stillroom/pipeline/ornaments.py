@@ -32,10 +32,12 @@ class Ornaments:
 
     Attributes:
         n_failed: How many there are.
+        n_not_shown: Frames that a viewer did not show, as it had failed.
     """
 
     def __init__(self) -> None:
         self.n_failed = 0
+        self.n_not_shown = 0
 
     @contextmanager
     def drawing(self) -> Iterator[None]:

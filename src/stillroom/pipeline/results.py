@@ -329,6 +329,7 @@ def _run_figures(outcome: RunOutcome) -> dict[str, Any]:
         "n_repeated": outcome.system.n_repeated,
         "interrupted": outcome.interrupted,
         "n_pictures_failed": outcome.ornaments.n_failed,
+        "n_frames_not_shown": outcome.ornaments.n_not_shown,
         "n_in_unjoined_submaps": outcome.n_apart,
         "n_submaps": len(submaps.unjoined(world)),
         "n_keyframes": len(world.alive_keyframes()),

@@ -24,6 +24,7 @@ from stillroom.pipeline.playback import InTurn, Paced, Playback
 from stillroom.pipeline.plots import draw_maps, draw_plots
 from stillroom.pipeline.stop_request import StopRequest
 from stillroom.pipeline.untracked import Seen
+from stillroom.pipeline.viewing import Viewers, viewed
 from stillroom.protocols import Dataset, RunObserver, Segmenter
 from stillroom.schedule import LiveSchedule
 from stillroom.semantics.detector import withhold
@@ -153,7 +154,12 @@ def run(
             slam.observe(MaskWriter(options.masks))
         if options.observe is not None:
             slam.observe(options.observe(slam.system))
-        with _concluded_in_any_case(outcome, intake, stop, options.pictures > 0), _until_idle(outcome), slam:
+        with (
+            viewed(slam, origin, options.viewers, outcome.ornaments) as viewers,
+            _concluded_in_any_case(outcome, intake, stop, options.pictures > 0, viewers),
+            _until_idle(outcome),
+            slam,
+        ):
             progress.start(intake.n_images)
             try:
                 with _playback(intake, slam, outcome, options) as playback:
@@ -226,7 +232,9 @@ def _ended_by_camera(outcome: RunOutcome) -> Iterator[None]:
 
 
 @contextmanager
-def _concluded_in_any_case(outcome: RunOutcome, intake: Intake, stop: StopRequest, with_plots: bool) -> Iterator[None]:
+def _concluded_in_any_case(
+    outcome: RunOutcome, intake: Intake, stop: StopRequest, with_plots: bool, viewers: Viewers
+) -> Iterator[None]:
     """Evaluate and write the results when the block ends, however it ends; signals are then ignored."""
     try:
         yield
@@ -236,13 +244,13 @@ def _concluded_in_any_case(outcome: RunOutcome, intake: Intake, stop: StopReques
         outcome.interrupted = True
     except BaseException:
         stop.hold()
-        _conclude(outcome, intake, with_plots)
+        _conclude(outcome, intake, with_plots, viewers)
         raise
-    _conclude(outcome, intake, with_plots)
+    _conclude(outcome, intake, with_plots, viewers)
     outcome.interrupted |= stop.asked
 
 
-def _conclude(outcome: RunOutcome, intake: Intake, with_plots: bool) -> None:
+def _conclude(outcome: RunOutcome, intake: Intake, with_plots: bool, viewers: Viewers) -> None:
     trajectory, truth, folder = outcome.system.trajectory(), results.Truth.of(intake.origin), outcome.folder
     outcome.has_groundtruth = truth is not None or groundtruth_flaw(intake.origin) != ""
     outcome.n_unpaired = intake.n_unpaired(outcome.n_given)
@@ -252,6 +260,7 @@ def _conclude(outcome: RunOutcome, intake: Intake, with_plots: bool) -> None:
     finally:  # what was tracked is written even where memory does not suffice for figures
         if folder is not None:
             cloud = results.write_results(folder, outcome, truth)
+        viewers.conclude(cloud)
     if folder is None:
         return
     title = f"{outcome.method} on {intake.origin.name}"

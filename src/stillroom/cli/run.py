@@ -3,7 +3,7 @@
 from dataclasses import replace
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -114,16 +114,13 @@ def run(
 
         stillroom run rgbd_bonn_crowd --method oc-slam
         stillroom run synthetic:walking --frames 0:90 --set semantics.kind=truth
-        stillroom run rgbd_bonn_crowd --frames :200 --map room.stillmap
         stillroom run rgbd_bonn_crowd --frames 200: --map room.stillmap --localize
-        stillroom run camera:realsense --map room.stillmap
-        stillroom run rgbd_bonn_crowd --frames 150:350 --view
+        stillroom run camera:realsense --schedule live --view
     """
     from stillroom.cli.view import destinations
     from stillroom.datasets.pairing import Pairing
     from stillroom.pipeline import RunOptions, Source
     from stillroom.presets.registry import configure
-    from stillroom.schedule import schedule_of
 
     chosen = configure(method, config, settings or (), seed)
     pairing = Pairing(time_unit, pair_by, max_gap, depth_offset)
@@ -136,22 +133,24 @@ def run(
         asked=map_file.described() if map_file else {},
         map=map_file,
         masks=export_masks,
-        schedule=schedule_of(schedule),
-        speed=_speed(schedule, speed),
+        **_pace(schedule, speed),
         viewers=destinations(view, rerun),
     )
     _track(chosen, source, options, tuple(detector_off or ()))
 
 
-def _speed(schedule: str, speed: float | None) -> float:
-    """Return the speed of a recording; one that is asked for without a live schedule is refused."""
+def _pace(schedule: str, speed: float | None) -> dict[str, Any]:
+    """Return schedule and speed of a run; a speed that is asked for without a live schedule is refused."""
+    from stillroom.schedule import schedule_of
+
+    chosen = schedule_of(schedule)
     if speed is None:
-        return 1.0
+        return {"schedule": chosen}
     if schedule != "live":
         raise ConfigError("--speed plays a recording at a camera's pace; it needs --schedule live")
     if not isfinite(speed):
         raise ConfigError(f"--speed is {speed}; it must be a number, such as 1, or 0 for no pace at all")
-    return speed
+    return {"schedule": chosen, "speed": speed}
 
 
 def _map_file(path: Path | None, continue_: bool, localize: bool) -> "MapFile | None":

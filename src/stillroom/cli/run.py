@@ -113,7 +113,6 @@ def run(
     An archive is unpacked once into the user's cache and stays there until you delete it.
 
         stillroom run rgbd_bonn_crowd --method oc-slam
-        stillroom run synthetic:walking --frames 0:90 --set semantics.kind=truth
         stillroom run rgbd_bonn_crowd --frames 200: --map room.stillmap --localize
         stillroom run camera:realsense --schedule live --view
     """

@@ -272,6 +272,34 @@ def test_a_full_disk_ends_nothing(outcome: RunOutcome, tmp_path: Path) -> None:
     assert len(ended.stderr.splitlines()) == 1, "rerun adds nothing"
 
 
+HUNG = """
+import socket
+from stillroom.config import SlamConfig
+from stillroom.pipeline import RunOptions, Source, run
+from stillroom.viz.viewer import recording
+from stillroom.viz.viewer.recording import Destination, Recording
+recording.PATIENCE_S = 0.5
+window = socket.socket()  # takes connections, and never answers
+window.bind(("127.0.0.1", 0))
+window.listen()
+url = f"rerun+http://127.0.0.1:{window.getsockname()[1]}/proxy"
+Recording._open_window = lambda self: self._stream.connect_grpc(url)
+Destination.require_usable = lambda self: None
+room = Source("synthetic:walking,frames=45", frames=":32").open()
+outcome = run(room, SlamConfig(), RunOptions(root=None, pictures=0, viewers=(Destination(),)))
+print(outcome.n_tracked, outcome.ornaments.n_not_shown)
+"""
+
+
+@needs_rerun
+def test_a_window_that_hangs_ends_nothing_and_is_not_waited_for(outcome: RunOutcome) -> None:
+    ended = subprocess.run([sys.executable, "-c", HUNG], capture_output=True, text=True, timeout=300)
+    assert ended.returncode == 0, ended.stderr
+    assert ended.stdout.split() == ["32", "3"], ended.stderr
+    assert ended.stderr.count("its window was closed, or does not answer") == 1, ended.stderr
+    assert len(ended.stderr.splitlines()) == 1, "rerun adds nothing"
+
+
 def test_destinations_are_checked_before_anything_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("stillroom.viz.viewer.recording.require_rerun", lambda: None)
     with pytest.raises(ConfigError, match=r"let the name end in \.rrd"):

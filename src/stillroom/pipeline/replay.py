@@ -102,8 +102,10 @@ def replay(path: Path, destination: Destination, progress: RunProgress) -> Repla
         _show_map(scene, run)
         _show_frames(scene, recording, run, shown, progress)
         recording.flush()
-    finally:
-        recording.close()
+    except BaseException:  # closing would wait for a window that hangs
+        recording.abandon()
+        raise
+    recording.close()
     shown.missing.append(NEVER_KEPT)
     return shown
 

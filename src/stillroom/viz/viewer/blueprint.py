@@ -18,7 +18,6 @@ PAPER = (247, 248, 250)
 SLOWEST_MS = 150.0
 """End of the axis of times at first [ms]: the first image, which loads and compiles, would leave the others no room."""
 
-
 YAW_RAD = 0.35
 """How far the eye stands to the side of the camera."""
 

@@ -115,7 +115,7 @@ class RunViewer:
             return
         self._show_path()
         self._show_map()
-        cloud = cloud or self._watched.dense()
+        cloud = self._watched.dense() if cloud is None else cloud
         self._show_dense(cloud)
         if self._recording.is_file:  # who looks at a window has turned it as they like
             world = self._watched.world
@@ -142,12 +142,11 @@ class RunViewer:
     def _show_what_grows(self, is_keyframe: bool) -> None:
         n_jumps = len(self._watched.world.jumps)
         has_jumped, self._n_jumps = n_jumps != self._n_jumps, n_jumps
-        if is_keyframe:
-            self._n_keyframes += 1
-            if self._map_due.is_due(self._n_keyframes) or has_jumped:
-                self._show_map()
-            if self._dense_due.is_due(self._n_keyframes):
-                self._show_dense(self._watched.dense())
+        self._n_keyframes += is_keyframe
+        if has_jumped or (is_keyframe and self._map_due.is_due(self._n_keyframes)):
+            self._show_map()
+        if is_keyframe and self._dense_due.is_due(self._n_keyframes):
+            self._show_dense(self._watched.dense())
         if self._path_due.is_due(self._n_frames) or has_jumped:
             self._show_path()
 

@@ -31,6 +31,7 @@ class Worker(Enum):
     CLUSTERS = "clusters"
     MAPPING = "mapping"
     DENSE = "dense"
+    VIEWER = "viewer"
 
 
 @dataclass(frozen=True)
@@ -79,6 +80,7 @@ QUEUE = {
     Worker.CLUSTERS: 4,
     Worker.MAPPING: 24,
     Worker.DENSE: 8,
+    Worker.VIEWER: 4,
 }
 """How many pieces of work may be pending with each worker before a caller has to wait."""
 AWAITED = frozenset({Worker.FEATURES, Worker.SEMANTICS, Worker.CLUSTERS})

@@ -9,6 +9,9 @@ from stillroom.evaluation.report import Evaluation
 from stillroom.pipeline.intake import Arrival
 from stillroom.schedule import LiveSchedule, Worker
 
+LEFT_OUT = {Worker.DENSE: "used to carve the dense map", Worker.VIEWER: "shown by the viewer"}
+"""What is left out where a worker is late."""
+
 
 @dataclass
 class LiveFigures:
@@ -83,9 +86,10 @@ class LiveFigures:
         text = f"live, {pace}: {len(self.dropped)} images dropped, as tracking was late"
         if self.speed > 0:
             text += f"; from due to pose {median:.1f} ms (median), {p95:.1f} ms (95th percentile)"
-        left_out = sum(load.n_left_out for load in self.schedule.loads.values())
-        if left_out:
-            text += f"; {left_out} frames were not used to carve the dense map, whose worker was late"
+        for worker, what in LEFT_OUT.items():
+            load = self.schedule.loads.get(worker)
+            if load is not None and load.n_left_out > 0:
+                text += f"; {load.n_left_out} frames were not {what}, as its worker was late"
         if self.online is not None:
             text += f"; ATE of the poses as known at once {self.online.as_given.ate_se3_m.rmse:.4f} m"
         busy = ", ".join(f"{worker.value} {100 * share:.0f} %" for worker, share in self.shares().items())

@@ -10,7 +10,7 @@ from stillroom.data.semantics import Semantics
 from stillroom.data.trajectory import Trajectory
 from stillroom.errors import StillroomError
 from stillroom.pipeline.ornaments import FAILURES, Ornaments
-from stillroom.protocols import CameraStream, Dataset, Pending
+from stillroom.protocols import CameraStream, Dataset, Pending, Schedule
 from stillroom.schedule import Worker
 from stillroom.session.slam import Slam
 from stillroom.system import System
@@ -23,13 +23,20 @@ log = logging.getLogger(__name__)
 class Viewing:
     """A viewer whose failures do not reach the run: the first is told, and the viewer sees no more."""
 
-    def __init__(self, viewer: RunViewer, ornaments: Ornaments) -> None:
-        """Stand between a run and a viewer; frames that it does not show are counted in `ornaments`."""
+    def __init__(self, viewer: RunViewer, ornaments: Ornaments, schedule: Schedule) -> None:
+        """Stand between a run and a viewer; frames that it does not show are counted in `ornaments`.
+
+        Under a live schedule a worker of its own shows them, and leaves frames out where it is late.
+        """
         self._viewer: RunViewer | None = viewer
+        self._schedule = schedule
         self._ornaments = ornaments
 
     def on_frame(self, tracked: Tracked, semantics: Semantics, result: FrameResult) -> None:
-        """Show a frame."""
+        """Show a frame, or let the worker do it."""
+        self._schedule.offer(Worker.VIEWER, self._show, tracked, semantics, result)
+
+    def _show(self, tracked: Tracked, semantics: Semantics, result: FrameResult) -> None:
         with self._left_behind_at(f"image {result.index}"):
             if self._viewer is not None:
                 self._viewer.on_frame(tracked, semantics, result)
@@ -90,7 +97,7 @@ def viewed(
     with ExitStack() as closing:
         for destination in destinations:
             recording = destination.open(f"{slam.config.method} on {origin.name}")
-            viewing = Viewing(RunViewer(recording, _watched(slam, origin)), ornaments)
+            viewing = Viewing(RunViewer(recording, _watched(slam, origin)), ornaments, slam.system.schedule)
             closing.callback(viewing.close)
             slam.observe(viewing)
             viewings.append(viewing)

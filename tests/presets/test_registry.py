@@ -40,6 +40,9 @@ def install(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
     monkeypatch.setattr(plugins, "_installed", lambda search_path: EntryPoints([entry]))
 
 
+BY_FLOW = replace(SlamConfig().tracking, between_keyframes="flow")
+
+
 def test_the_presets_are_rows_of_the_table() -> None:
     orb_slam2, oc_slam = method("orb-slam2").config, method("oc-slam").config
     assert classes(orb_slam2, "semantics", "dynamics", "clusters") == [NothingConfig, KeepAllConfig, NoClustersConfig]
@@ -52,7 +55,8 @@ def test_the_presets_are_rows_of_the_table() -> None:
     assert oc_slam.semantics.confidence == 0.80  # OC-SLAM 2.1
     # All else is ORB-SLAM2's.
     assert classes(orb_slam2, "dense") + classes(oc_slam, "dense") == [NoDenseMapConfig, DenseMapperConfig]
-    rest = {part: getattr(orb_slam2, part) for part in ("semantics", "clusters", "dynamics", "dense")}
+    assert oc_slam.tracking == BY_FLOW
+    rest = {part: getattr(orb_slam2, part) for part in ("semantics", "clusters", "dynamics", "dense", "tracking")}
     assert replace(oc_slam, method="orb-slam2", **rest) == orb_slam2
 
 
@@ -66,7 +70,7 @@ def rest_of(config: SlamConfig, *own: str) -> SlamConfig:
     return replace(config, method=plain.method, **{part: getattr(plain, part) for part in own})
 
 
-MASKED = ("semantics", "keypoints", "low_cost", "dynamics", "dense")
+MASKED = ("semantics", "keypoints", "low_cost", "dynamics", "dense", "tracking")
 
 
 def test_pspnet_slam_is_masks_a_homography_and_segments_that_move() -> None:
@@ -82,6 +86,7 @@ def test_pspnet_slam_is_masks_a_homography_and_segments_that_move() -> None:
     assert isinstance(config.clusters, DepthClustersConfig)
     assert config.clusters.leave_out_masked, "what is masked is the network's to find"
     assert config.dense == method("oc-slam").config.dense
+    assert config.tracking == BY_FLOW
     assert rest_of(config, *MASKED, "clusters") == SlamConfig()
 
 
@@ -97,6 +102,7 @@ def test_dynaslam_is_masks_and_multi_view_geometry_and_each_alone() -> None:
     assert network.dynamics == replace(both.dynamics, geometry=False)
     assert geometry.dynamics == replace(both.dynamics, network=False)
     for config in (both, network, geometry):
+        assert config.tracking == BY_FLOW
         assert rest_of(config, *MASKED) == SlamConfig()
 
 

@@ -22,7 +22,7 @@ from stillroom.tracking.flow_tracking import FlowConfig, FlowTracking, OrbAlways
 from stillroom.tracking.tracker import TrackerConfig
 
 N_FRAMES = 12
-FLOW = ("tracking.between_keyframes=flow",)
+FLOW = ("tracking.between_keyframes=flow", "tracking.flow.calm_images=0")
 
 
 @dataclass
@@ -103,7 +103,7 @@ def test_the_same_input_gives_the_same_poses(room: Dataset, method: str) -> None
 
 
 def test_where_the_camera_turns_fast_it_is_as_if_flow_were_off(room: Dataset) -> None:
-    off, never = run(room), run(room, *FLOW, "tracking.flow.max_shift_px=0.001")
+    off, never = run(room), run(room, *FLOW, "tracking.flow.max_turn_px=0.000001")
     assert never.with_orb == off.with_orb
     assert all(
         a.T_world_cam.tobytes() == b.T_world_cam.tobytes() for a, b in zip(off.results, never.results, strict=True)
@@ -165,7 +165,7 @@ def last_of(small: SmallMap) -> Tracked:
 
 
 def flow(poses: Poses, due: bool = False, **config: float) -> FlowTracking:
-    return FlowTracking(FlowConfig(**config), poses, lambda frame, _: frame, Rule(due))
+    return FlowTracking(FlowConfig(**{"calm_images": 0, **config}), poses, lambda frame, _: frame, Rule(due))
 
 
 def test_the_shift_is_that_of_the_projection(small: SmallMap) -> None:
@@ -199,6 +199,18 @@ def test_an_image_like_the_last_is_followed_at_most_so_often(small: SmallMap) ->
     np.testing.assert_allclose(kept.frame.keypoints.raw_px, last.frame.keypoints.raw_px[_places(kept, last)], atol=0.1)
 
 
+def test_it_waits_until_the_camera_was_calm_for_a_while(small: SmallMap) -> None:
+    last, nobody = last_of(small), no_semantics()
+    poses = Poses(last, se3.inverse(WAS))
+    part = flow(poses, calm_images=2, max_images=9)
+    still, turned = poses.guess, se3.inverse(pose(turn=(0.0, 0.1, 0.0)))
+    said = []
+    for guess in (still, still, still, turned, still, still, still):
+        poses.guess = guess
+        said.append(part.follow(last.frame.image, nobody, small.map) is not None)
+    assert said == [False, False, True, False, False, False, True]
+
+
 def _places(kept: Tracked, last: Tracked) -> np.ndarray:
     """Keypoints of the last frame that see the points of another."""
     of_point = {point: k for k, point in enumerate(last.point_ids)}
@@ -214,6 +226,8 @@ def test_it_leaves_the_frame_to_orb_where_it_must(small: SmallMap) -> None:
     assert flow(Poses(last, still), due=True).follow(same, nobody, small.map) is None  # a keyframe is due
     assert flow(Poses(last, still)).follow(other, nobody, small.map) is None  # nothing is found again
     assert flow(Poses(last, still), min_inliers=5000).follow(same, nobody, small.map) is None  # too few points
+    late = replace(same, timestamp_s=same.timestamp_s + 0.1)
+    assert flow(Poses(last, still)).follow(late, nobody, small.map) is None  # a slow camera
     turned = se3.inverse(pose(turn=(0.0, 0.1, 0.0)))
     assert flow(Poses(last, turned)).follow(same, nobody, small.map) is None  # turns fast
 

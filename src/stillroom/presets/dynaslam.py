@@ -3,8 +3,8 @@
 Differs from the paper: the masks are the PSPNet's of `pspnet-slam`, by class and not by instance. Mask R-CNN takes
 seconds an image on a CPU; any network in an ONNX file can be set instead (`semantics.kind = "onnx-masks"`). The network
 sees every second image; flow and depth carry its masks to the others. The thresholds of the geometry are our own; the
-paper's and its code's are `--set dynamics.kind=multiview-paper` and `multiview-code`. What moves is inpainted by
-`stillroom inpaint --method dynaslam`.
+paper's and its code's are `--set dynamics.kind=multiview-paper` and `multiview-code`. Between keyframes most images
+are tracked by optical flow, as in `oc-slam`. What moves is inpainted by `stillroom inpaint --method dynaslam`.
 """
 
 from stillroom.config import SlamConfig
@@ -15,6 +15,7 @@ from stillroom.presets.method import Method
 from stillroom.semantics.masks.pspnet import PspNetConfig
 from stillroom.semantics.masks.regions import RegionsConfig
 from stillroom.tracking.low_cost import LowCostConfig
+from stillroom.tracking.tracker import TrackerConfig
 
 DILATE_PX = 15
 """How far DynaSLAM dilates a mask (docs/reference.md#dynaslam: an ellipse of 31 pixels)."""
@@ -30,6 +31,7 @@ METHOD = Method(
         keypoints=MaskedKeypointsConfig(),
         low_cost=LowCostConfig(),
         dynamics=MultiViewConfig(),
+        tracking=TrackerConfig(between_keyframes="flow"),
         dense=DenseMapperConfig(),
     ),
     paper=PAPER,

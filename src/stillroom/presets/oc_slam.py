@@ -2,8 +2,9 @@
 
 Differs from the paper: epipolar lines are taken from the tracked pose and helped by depth, what lies in a box is
 dynamic until shown to be static (`dynamics/epipolar_sieve.py`), and a cluster is judged by depth as well as by its
-matches, over more than one image (`dynamics/cluster_sieve.py`). The paper's literal rule is `--set
-dynamics.kind=paper-epipolar`; boxes without clusters are `--set clusters.kind=nothing`.
+matches, over more than one image (`dynamics/cluster_sieve.py`). Between keyframes most images are tracked by optical
+flow (`tracking/flow_tracking.py`); `--set tracking.between_keyframes=orb` is ORB-SLAM2's way. The paper's literal rule
+is `--set dynamics.kind=paper-epipolar`; boxes without clusters are `--set clusters.kind=nothing`.
 """
 
 from stillroom.config import SlamConfig
@@ -12,6 +13,7 @@ from stillroom.dynamics.cluster_sieve import ClusterSieveConfig
 from stillroom.presets.method import Method
 from stillroom.semantics.depth_clusters import DepthClustersConfig
 from stillroom.semantics.yolo_fastest import YoloFastestConfig
+from stillroom.tracking.tracker import TrackerConfig
 
 METHOD = Method(
     name="oc-slam",
@@ -21,6 +23,7 @@ METHOD = Method(
         semantics=YoloFastestConfig(),
         clusters=DepthClustersConfig(),
         dynamics=ClusterSieveConfig(),
+        tracking=TrackerConfig(between_keyframes="flow"),
         dense=DenseMapperConfig(),
     ),
     paper="Wu, Deng, Li and Li, Frontiers in Energy Research 9:803631, 2021",

@@ -5,6 +5,7 @@ depth gives, may explain a point as well (`dynamics/homography/homography_sieve.
 `--set dynamics.first.test.use_depth=false --set dynamics.first.earlier_s=0`. What is not movable by its class is
 dynamic when its segment moves against the scene; the paper says no more than that (`dynamics/segment_sieve.py`). The
 network sees every second image; flow and depth carry its masks to the others (the paper's sees keyframes only).
+Between keyframes most images are tracked by optical flow, as in `oc-slam`.
 """
 
 from stillroom.config import SlamConfig
@@ -17,6 +18,7 @@ from stillroom.presets.method import Method
 from stillroom.semantics.depth_clusters import DepthClustersConfig
 from stillroom.semantics.masks.pspnet import PspNetConfig
 from stillroom.tracking.low_cost import LowCostConfig
+from stillroom.tracking.tracker import TrackerConfig
 
 METHOD = Method(
     name="pspnet-slam",
@@ -28,6 +30,7 @@ METHOD = Method(
         keypoints=MaskedKeypointsConfig(),
         low_cost=LowCostConfig(),
         dynamics=ChainConfig(CompensatedHomographyConfig(), MovedSegmentsConfig()),
+        tracking=TrackerConfig(between_keyframes="flow"),
         dense=DenseMapperConfig(),
     ),
     paper="Long, Zhang and Zhao, IEEE Access 8, 2020",

@@ -88,8 +88,8 @@ QUEUE = {
     Worker.SEMANTICS: 4,
     Worker.NETWORK: 1,
     Worker.CLUSTERS: 4,
-    Worker.MAPPING: 24,
-    Worker.DENSE: 8,
+    Worker.MAPPING: 40,
+    Worker.DENSE: 12,
     Worker.VIEWER: 4,
 }
 """How many pieces of work may be pending with each worker before a caller has to wait."""
@@ -252,7 +252,7 @@ class LiveSchedule:
             BaseException: As `submit`.
         """
         self._raise_failure()
-        if self.keeps_up(worker):
+        if self._pending.get(worker, 0) <= QUEUE[worker] // 4:
             self._start(worker, work, *args, **kwargs)
         else:
             self._load(worker).n_left_out += 1

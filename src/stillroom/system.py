@@ -178,8 +178,8 @@ class System:
                 return extracted, semantics
 
     def _extracted(self, image: RgbdImage, begun: Pending[Frame] | None) -> Frame:
-        """Return the keypoints of an image, which may be begun already."""
-        return (begun or self.schedule.submit(Worker.FEATURES, self.features.extract, image)).result()
+        """Return the keypoints of an image; those that no worker has begun are awaited by tracking at once."""
+        return self.features.extract(image) if begun is None else begun.result()
 
     @property
     def _mapping_keeps_up(self) -> bool:

@@ -6,6 +6,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import takewhile
 from types import TracebackType
 from typing import Protocol
 
@@ -61,8 +62,8 @@ class Playback(Protocol):
             CameraError: The camera is gone.
         """
 
-    def following(self) -> RgbdImage | None:
-        """Return the image that will be delivered next, where it is there already."""
+    def following(self) -> list[RgbdImage]:
+        """Return the images that will be delivered next, as far as they are there already."""
 
 
 class InTurn:
@@ -91,9 +92,9 @@ class InTurn:
                 image = _read(arrival)
             yield Delivered(arrival, image, time.perf_counter())
 
-    def following(self) -> RgbdImage | None:
-        """Return None: it is not read yet."""
-        return None
+    def following(self) -> list[RgbdImage]:
+        """Return none: they are not read yet."""
+        return []
 
 
 class Paced:
@@ -157,16 +158,16 @@ class Paced:
             is_first = False
             yield delivered
 
-    def following(self) -> RgbdImage | None:
-        """Return the image that will be delivered next, where it is there already.
+    def following(self) -> list[RgbdImage]:
+        """Return the images that will be delivered next, as far as they are there already.
 
-        At their own times images are begun only as long as there is room for the one after, or they could be dropped.
+        At their own times none is named while there is no room for another one: it could be dropped after all.
         """
         with self._changed:
-            if not self._ready or (self._speed > 0 and len(self._ready) >= SLOTS):
-                return None
-            image = self._ready[0].image
-            return image if isinstance(image, RgbdImage) else None
+            if self._speed > 0 and len(self._ready) >= SLOTS:
+                return []
+            coming = [delivered.image for delivered in self._ready]
+        return list(takewhile(lambda image: isinstance(image, RgbdImage), coming))  # type: ignore[arg-type]
 
     def _tell(self, reader: "Future[None]") -> None:
         with self._changed:

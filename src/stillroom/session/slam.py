@@ -2,7 +2,7 @@
 
 import logging
 import weakref
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from contextlib import ExitStack, nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -135,12 +135,12 @@ class Slam:
             log.warning("%s", each)
             self.doubts.append(each)
 
-    def process(self, image: RgbdImage, following: RgbdImage | None = None) -> FrameResult:
+    def process(self, image: RgbdImage, following: Sequence[RgbdImage] = ()) -> FrameResult:
         """Track one image.
 
         Args:
             image: The next one in order of time.
-            following: The one after it, where it is there already: under the live schedule workers begin it.
+            following: Those after it that are there already, in order: under the live schedule workers begin them.
 
         Returns:
             The pose as known now, what moves, and how tracking stands.
@@ -253,10 +253,15 @@ class Slam:
         self._newest.on_frame(replace(tracked, frame=replace(tracked.frame, image=image)), semantics, result)
         return result
 
-    def _tracked(self, image: RgbdImage, following: RgbdImage | None) -> FrameResult:
-        if following is not None and self._is_live and self._may_follow(image, following):
+    def _tracked(self, image: RgbdImage, following: Sequence[RgbdImage]) -> FrameResult:
+        if self._is_live:
             self.system.begin(image)
-            self.system.begin(following)
+            last = image
+            for coming in following:
+                if not self._may_follow(last, coming):
+                    break  # what follows will be begun when it is clear what becomes of this one
+                self.system.begin(coming)
+                last = coming
         return self.system.process(image)
 
     def _may_follow(self, image: RgbdImage, following: RgbdImage) -> bool:

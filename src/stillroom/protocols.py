@@ -23,7 +23,6 @@ inherits from them. `stillroom.testing` holds the contract of each.
 """
 
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from types import TracebackType
 from typing import ParamSpec, Protocol, Self, TypeVar, runtime_checkable
@@ -235,12 +234,6 @@ class Schedule(Protocol):
 
     def offer(self, worker: Worker, work: Callable[P, object], /, *args: P.args, **kwargs: P.kwargs) -> None:
         """Do the same with work that may be left out, where the worker has not kept up."""
-
-    def working(self) -> AbstractContextManager[None]:
-        """Return a context in which the caller works itself, beside the workers."""
-
-    def idle(self) -> AbstractContextManager[None]:
-        """Return a context in which the calling thread waits for another."""
 
     def keeps_up(self, worker: Worker) -> bool:
         """Return whether a worker keeps up with what is submitted."""

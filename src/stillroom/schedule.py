@@ -1,11 +1,9 @@
 """When submitted work runs: at once, or on worker threads. The threads of the papers are one possible schedule."""
 
-import os
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
-from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
 from enum import Enum, StrEnum
 from typing import Generic, ParamSpec, TypeVar
@@ -28,9 +26,9 @@ class Worker(Enum):
 
     FEATURES = "features"
     SEMANTICS = "semantics"
-    CLUSTERS = "clusters"
     NETWORK = "network"
     """A network that is too slow for every image: its results are awaited by nobody, and come when they come."""
+    CLUSTERS = "clusters"
     MAPPING = "mapping"
     DENSE = "dense"
     VIEWER = "viewer"
@@ -68,14 +66,6 @@ class InOrder:
     def keeps_up(self, worker: Worker) -> bool:
         """Return that it does: nothing is ever left to do."""
         return True
-
-    def working(self) -> AbstractContextManager[None]:
-        """Return a context that does nothing."""
-        return nullcontext()
-
-    def idle(self) -> AbstractContextManager[None]:
-        """Return a context that does nothing."""
-        return nullcontext()
 
     def close(self) -> None:
         """Do nothing: all work is done when `submit` returns."""
@@ -130,42 +120,6 @@ class Event:
     work: str
 
 
-class _Cores:
-    """Lets no more threads work at a time than there are cores, those that tracking waits for first.
-
-    More threads than cores would share Python's interpreter lock badly: one that holds it is interrupted by one that
-    does not need it, and all others wait.
-    """
-
-    def __init__(self, n_cores: int) -> None:
-        self._lock = threading.Lock()
-        self._n_free = n_cores
-        self._waiting: dict[Worker, threading.Event] = {}
-
-    def take(self, worker: Worker) -> None:
-        """Wait for a core."""
-        with self._lock:
-            if self._n_free > 0:
-                self._n_free -= 1
-                return
-            turn = self._waiting[worker] = threading.Event()
-        turn.wait()
-
-    def take_at_once(self) -> None:
-        """Take a core without waiting, if need be one more than there are."""
-        with self._lock:
-            self._n_free -= 1
-
-    def give(self) -> None:
-        """Give a core back; who waits for one goes on, in the order of `Worker`."""
-        with self._lock:
-            self._n_free += 1
-            for worker in Worker:
-                if self._n_free > 0 and worker in self._waiting:
-                    self._n_free -= 1
-                    self._waiting.pop(worker).set()
-
-
 class _Answer(Generic[T]):
     """The result of work on another thread."""
 
@@ -176,7 +130,7 @@ class _Answer(Generic[T]):
         """Wait for the result and return it; raise the exception of the work."""
         if self._future.done():
             return self._schedule.told(self._future)
-        with self._schedule.awaiting(self._worker, self._work), self._schedule.idle():
+        with self._schedule.awaiting(self._worker, self._work):
             return self._schedule.told(self._future)
 
     def done(self) -> bool:
@@ -195,11 +149,6 @@ class _Awaiting:
 
     def __exit__(self, *_: object) -> None:
         self._schedule.wait_ends(self._event)
-
-
-def n_cores() -> int:
-    """Return how many cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 class LiveSchedule:
@@ -227,8 +176,6 @@ class LiveSchedule:
         self._is_heard = False
         self._is_closed = False
         self._n_waiting_for_clusters = 0
-        self._cores = _Cores(max(2, n_cores()))
-        self._has_core = threading.local()
 
     def submit(
         self, worker: Worker, work: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs
@@ -260,29 +207,6 @@ class LiveSchedule:
     def keeps_up(self, worker: Worker) -> bool:
         """Return whether the worker's queue is less than half full."""
         return self._pending.get(worker, 0) <= QUEUE[worker] // 2
-
-    @contextmanager
-    def working(self) -> Iterator[None]:
-        """Note that the calling thread works in the block, beside the workers."""
-        self._cores.take_at_once()
-        self._has_core.value = True
-        try:
-            yield
-        finally:
-            self._has_core.value = False
-            self._cores.give()
-
-    @contextmanager
-    def idle(self) -> Iterator[None]:
-        """Note that the calling thread waits in the block, and leaves its core to others."""
-        if not getattr(self._has_core, "value", False):
-            yield
-            return
-        self._cores.give()
-        try:
-            yield
-        finally:
-            self._cores.take_at_once()
 
     def close(self) -> None:
         """Let the workers finish what they have, and end their threads.
@@ -342,15 +266,11 @@ class LiveSchedule:
                     self._changed.wait_for(lambda: self._n_waiting_for_clusters == 0)
             if self._failure is not None:
                 raise CancelledError
-            self._cores.take(worker)
-            self._has_core.value = True
             self._say(Event(worker, "begins", name))
             wall_s, cpu_s = time.perf_counter(), time.thread_time()
             try:
                 return work()
             finally:
-                self._has_core.value = False
-                self._cores.give()
                 load.busy_s += time.perf_counter() - wall_s
                 load.cpu_s += time.thread_time() - cpu_s
                 load.n_done += 1

@@ -74,10 +74,6 @@ class System:
 
     def process(self, image: RgbdImage) -> FrameResult:
         """Track one image; images come in order of time."""
-        with self.schedule.working():
-            return self._process(image)
-
-    def _process(self, image: RgbdImage) -> FrameResult:
         extracted, semantics = self._begun(image)
         with self.map.lock.frame():
             tracked = self.flow.follow(image, semantics, self.map)  # between keyframes, where the method wants it
@@ -287,7 +283,6 @@ def build(
     config = in_pixels_of(config, camera.pixel_scale)
     clock, world = clock or StageClock(), world or Map(config.features.scales(camera))
     parts = Parts(camera, world, config.seed, clock, schedule or InOrder())
-    world.lock.idle = parts.schedule.idle
     sieve = timed_part(Asking(config.dynamics.build(parts), world), clock, judge="dynamics", remember="memory")
     tracker = config.tracking.build(parts, sieve, config.low_cost.build(parts, sieve))
     keyframes, keypoint_sieve = config.keyframes.build(parts), config.keypoints.build(parts)

@@ -1,8 +1,8 @@
 """The lock of a map that tracking, mapping and observers share."""
 
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from collections.abc import Iterator
+from contextlib import contextmanager
 from types import TracebackType
 
 
@@ -11,14 +11,10 @@ class MapLock:
 
     ``with lock:`` holds it, as mapping does for each of its steps, and whoever reads arrays. It is reentrant. Long
     computations on copies, such as bundle adjustment, are done without it.
-
-    Attributes:
-        idle: Makes a context for the time in which a thread waits for the lock.
     """
 
     def __init__(self) -> None:
         """Start free."""
-        self.idle: Callable[[], AbstractContextManager[None]] = nullcontext
         self._changed = threading.Condition(threading.Lock())
         self._holder: int | None = None
         self._depth = 0
@@ -80,9 +76,8 @@ class MapLock:
                 return
             self._n_urgent += urgent
             try:
-                if self._is_kept_from(me, urgent, between):
-                    with self.idle():
-                        self._changed.wait_for(lambda: not self._is_kept_from(me, urgent, between))
+                while self._is_kept_from(me, urgent, between):
+                    self._changed.wait()
             finally:
                 self._n_urgent -= urgent
             self._holder, self._depth = me, 1

@@ -98,7 +98,7 @@ class CompensatedHomographySieve:
 
     def judge(self, question: Question) -> Motion:
         """Classify by the masks, and outside them by geometry."""
-        frame, known = question.frame, question.known
+        frame, known = question.frame, question.found
         if self._asked is None or self._asked.image is not frame.image:
             self._view, self.findings = view_of(frame.image), None
         # A later stage tries again with a better pose, in case the first one gave no result.

@@ -83,7 +83,7 @@ class MultiViewSieve:
         local-map stage, and the stages before use the network alone: their matches are of points that were found to be
         static in the last frame. With only a predicted pose everything would seem to move.
         """
-        found, known, frame = self._mask(question) if self.config.geometry else None, question.known, question.frame
+        found, known, frame = self._mask(question) if self.config.geometry else None, question.found, question.frame
         said = self._said
         if said is None or said.found is not found or said.known is not known or said.frame is not frame:
             moving = self._moving(found, known)

@@ -82,9 +82,7 @@ QUEUE = {
     Worker.DENSE: 12,
     Worker.VIEWER: 4,
 }
-"""How many pieces of work may be pending with each worker before a caller has to wait."""
-AWAITED = frozenset({Worker.FEATURES, Worker.SEMANTICS, Worker.CLUSTERS})
-"""Workers whose results tracking waits for."""
+"""How many pieces of work may be pending with each worker; a caller that submits more has to wait."""
 
 
 @dataclass
@@ -188,12 +186,17 @@ class LiveSchedule:
         self._raise_failure()
         if self._is_closed:
             return Done(work(*args, **kwargs))
-        with self._changed:
-            self._changed.wait_for(lambda: self._pending.get(worker, 0) < QUEUE[worker] or self._failure is not None)
+        # Mapping is submitted within a frame, for the end of which a correction of the map may be waiting: waiting here
+        # for mapping could be waiting for ever. `keeps_up`, which is asked before, bounds its queue.
+        if worker is not Worker.MAPPING:
+            with self._changed:
+                self._changed.wait_for(
+                    lambda: self._pending.get(worker, 0) < QUEUE[worker] or self._failure is not None
+                )
         return self._start(worker, work, *args, **kwargs)
 
     def offer(self, worker: Worker, work: Callable[P, object], /, *args: P.args, **kwargs: P.kwargs) -> None:
-        """Let a worker do a piece of work unless it has not kept up; what is left out is counted.
+        """Let a worker do a piece of work while its queue is less than a quarter full; what is left out is counted.
 
         Raises:
             BaseException: As `submit`.
@@ -205,7 +208,7 @@ class LiveSchedule:
             self._load(worker).n_left_out += 1
 
     def keeps_up(self, worker: Worker) -> bool:
-        """Return whether the worker's queue is less than half full."""
+        """Return whether the worker's queue is no more than half full."""
         return self._pending.get(worker, 0) <= QUEUE[worker] // 2
 
     def close(self) -> None:

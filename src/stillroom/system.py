@@ -86,10 +86,10 @@ class System:
             keyframe = -1
             if self.keyframe_policy.wants(tracked, self.map, self._mapping_keeps_up):
                 keyframe = self.mapper.insert(tracked)  # now: points from depth, from static keypoints only
-        if keyframe >= 0:
-            self._refine_around(keyframe, image, tracked)
-        self._map_densely(tracked, keyframe)
-        with self.map.lock.frame():
+            with self.map.lock.let_go():
+                if keyframe >= 0:
+                    self._refine_around(keyframe, image, tracked)
+                self._map_densely(tracked, keyframe)
             return self._conclude(tracked, semantics, keyframe)
 
     def begin(self, image: RgbdImage) -> None:

@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
-from itertools import takewhile
+from itertools import islice
 from types import TracebackType
 from typing import Protocol
 
@@ -102,7 +102,7 @@ class Paced:
 
     The first image is waited for until it is tracked, as networks and kernels are loaded then: a camera is started
     when everything is ready. From there the clock runs. Of the images that are due while tracking is late the newest
-    `SLOTS` are kept.
+    `SLOTS` are kept, or the one whose work was begun and the newest.
     """
 
     def __init__(self, intake: Intake, clock: StageClock, speed: float) -> None:
@@ -119,6 +119,7 @@ class Paced:
         self._ready: deque[Delivered] = deque()
         self._started_s: float | None = None
         self._is_left = False
+        self._n_begun = 0
         self._executor = ThreadPoolExecutor(1, thread_name_prefix="stillroom-images")
         self._reader: Future[None] = Future()
         self.dropped: list[Arrival] = []
@@ -154,20 +155,24 @@ class Paced:
                     self._reader.result()  # raises what went wrong
                     return
                 delivered = self._ready.popleft()
+                self._n_begun = max(0, self._n_begun - 1)
                 self._changed.notify_all()
             is_first = False
             yield delivered
 
     def following(self) -> list[RgbdImage]:
-        """Return the images that will be delivered next, as far as they are there already.
-
-        At their own times none is named while there is no room for another one: it could be dropped after all.
-        """
+        """Return the images that will be delivered next, as far as they are there already; they are not dropped."""
         with self._changed:
-            if self._speed > 0 and len(self._ready) >= SLOTS:
-                return []
-            coming = [delivered.image for delivered in self._ready]
-        return list(takewhile(lambda image: isinstance(image, RgbdImage), coming))  # type: ignore[arg-type]
+            # At their own times the last slot is left to the newest image.
+            n = SLOTS - 1 if self._speed > 0 else len(self._ready)
+            coming = [delivered.image for delivered in islice(self._ready, n)]
+            begun: list[RgbdImage] = []
+            for image in coming:
+                if isinstance(image, FrameError):
+                    break
+                begun.append(image)
+            self._n_begun = len(begun)
+        return begun
 
     def _tell(self, reader: "Future[None]") -> None:
         with self._changed:
@@ -184,7 +189,8 @@ class Paced:
                 if self._is_left:
                     return
                 if self._speed > 0 and len(self._ready) >= SLOTS:
-                    self.dropped.append(self._ready.popleft().arrival)
+                    self.dropped.append(self._ready[self._n_begun].arrival)
+                    del self._ready[self._n_begun]
                 self._ready.append(Delivered(arrival, image, due_s))
                 self._changed.notify_all()
 

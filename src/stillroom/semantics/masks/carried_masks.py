@@ -108,7 +108,8 @@ class LateMasks:
 
         Args:
             see: The network: what is potentially dynamic in an image.
-            every: Stride in images at which it runs, at most: it sees no image while it works on another.
+            every: Stride in images at which it runs. One that is late runs at one image more, and sees no image while
+                it works on another.
             latency_frames: How many images later its result is available. The first is waited for: a map must not start
                 with people.
             carry: How masks are propagated.
@@ -126,6 +127,7 @@ class LateMasks:
         self._known = NOTHING_YET
         self._count = -1
         self._asked_at = -every
+        self._is_late = False
 
     def __call__(self, image: RgbdImage) -> KnownImage:
         """Return the segments of an image; images come in order, and a step back resets."""
@@ -135,7 +137,7 @@ class LateMasks:
         self._recent.append(view)
         self._count += 1
         now = self._count
-        if now - self._asked_at >= self._every and all(answer.segments.done() for answer in self._waiting):
+        if now - self._asked_at >= self._stride and all(answer.segments.done() for answer in self._waiting):
             self._asked_at = now
             self._waiting.append(_Answer(now, self._schedule.submit(Worker.NETWORK, self._seen, image, view)))
         arrived = None
@@ -145,6 +147,7 @@ class LateMasks:
             log.warning("the network needs %d images for one; its masks are too old to be used", now - arrived.seen_at)
             arrived = None
         if arrived is not None:
+            self._is_late = now - arrived.seen_at > self._latency
             self._known = KnownImage(self._to_the_present(arrived), now - arrived.seen_at)
         else:
             self._known = KnownImage(self._one_step(self._known.segments, -1), self._known.age + 1)
@@ -155,7 +158,12 @@ class LateMasks:
         self._recent.clear()
         self._waiting.clear()
         self._known = NOTHING_YET
-        self._count, self._asked_at = -1, -self._every
+        self._count, self._asked_at, self._is_late = -1, -self._every, False
+
+    @property
+    def _stride(self) -> int:
+        """Stride in images at which the network runs now: one more where its last result was late."""
+        return self._every + self._is_late
 
     def _seen(self, image: RgbdImage, view: HalfImage) -> MaskSegments:
         """Return what the network sees in an image, with refined borders."""

@@ -16,7 +16,7 @@ from stillroom.bench import trial as trials
 from stillroom.bench.accuracy import Accuracy
 from stillroom.bench.rejection import WHOLE_BOXES, Way, sentences, ways
 from stillroom.bench.speed import UnitMeter
-from stillroom.bench.trial import FrameAverages, Trial, attempt
+from stillroom.bench.trial import FrameAverages, Trial, all_keypoints, attempt
 from stillroom.cli.bench import app
 from stillroom.config import SlamConfig
 from stillroom.datasets.open import open_dataset
@@ -110,8 +110,8 @@ def test_rejection_prints_a_row_for_each_way_and_counts_what_is_kept(tmp_path: P
 
 
 def test_the_ways_differ_in_the_sieve_and_the_clusters_it_asks_for() -> None:
-    preset = method("oc-slam").config
-    found = ways(preset)
+    preset = all_keypoints(method("oc-slam").config)
+    found = ways(method("oc-slam").config)
     assert len({type(config.dynamics) for config in found.values()}) == len(found) == 5
     for name, config in found.items():
         assert isinstance(config.clusters, DepthClustersConfig if name == "the preset" else NoClustersConfig)
@@ -130,7 +130,7 @@ def test_speed_tells_stages_in_units(tmp_path: Path) -> None:
     assert frame["n_frames"] == row["n_frames"] == N_FRAMES
     assert row["units"] == pytest.approx(frame["cpu_mean_ms"] / row["unit_cpu_ms"])
     assert row["units_by_wall"] == pytest.approx(frame["wall_mean_ms"] / row["unit_wall_ms"])
-    names = ("features", "tracking", "mapping", "semantics", "clusters", "dense", "carving")
+    names = ("features", "flow", "tracking", "mapping", "semantics", "clusters", "dense", "carving")
     parts_ms = sum(stages[name]["cpu_mean_ms"] * stages[name]["n_frames"] / N_FRAMES for name in names)
     assert parts_ms <= frame["cpu_mean_ms"] < 1.5 * parts_ms
     whole_ms = stages["dense"]["cpu_mean_ms"]

@@ -11,6 +11,7 @@ from typer.testing import CliRunner, Result
 
 from stillroom.bench.ablation import ablation
 from stillroom.bench.observers import MovingThings
+from stillroom.bench.trial import all_keypoints
 from stillroom.cli.bench import app
 from stillroom.datasets.open import open_dataset
 from stillroom.presets.registry import configure
@@ -90,7 +91,8 @@ def test_ablation_shows_geometry_finding_what_the_network_is_not_told(tmp_path: 
 def test_the_rows_differ_in_what_decides() -> None:
     rows = ablation(configure("pspnet-slam"))
     assert len(rows) == len({repr(config) for config in rows.values()}) == 9
-    assert rows["the preset"] == configure("pspnet-slam")
+    assert rows["the preset"] == all_keypoints(configure("pspnet-slam"))
+    assert {config.tracking.between_keyframes for config in rows.values()} == {"orb"}
     networks = [config.semantics for config in rows.values() if not isinstance(config.semantics, NothingConfig)]
     assert len(networks) == 7
     assert all(isinstance(network, PspNetConfig) and network.model is None for network in networks), "nothing to fetch"

@@ -3,6 +3,7 @@
 import numpy as np
 
 from stillroom.data.map import Map
+from stillroom.data.map.map_lock import MapLock
 from stillroom.data.map.tables import KeyframeTable
 
 
@@ -12,6 +13,7 @@ class PosedKeyframes(Map):
     n_submaps = 1
 
     def __init__(self, poses: np.ndarray) -> None:
+        self.lock = MapLock()
         self.keyframes = KeyframeTable(max(1, len(poses)))
         for k, T_world_cam in enumerate(poses):
             self.keyframes.append(1, T_world_cam=T_world_cam, parent=k - 1, T_parent_cam=np.eye(4))

@@ -120,7 +120,7 @@ def test_every_frame_is_timed(finished: RunOutcome) -> None:
     rows = rows_of(folder_of(finished) / "timing.csv")
     assert [int(row["frame"]) for row in rows] == list(range(45))
     stages = {"loading", "frame", "semantics", "clusters", "features", "tracking", "dynamics", "keyframe", "mapping"}
-    stages |= {"memory", "dense", "carving", "places", "joining", "loops", "rest"}
+    stages |= {"flow", "memory", "dense", "carving", "places", "joining", "loops", "rest"}
     assert {name.removesuffix("_wall_ms") for name in rows[0] if name.endswith("_wall_ms")} == stages
     for row in rows:
         parts = sum(float(row[f"{name}_wall_ms"] or 0) for name in ("semantics", "features", "tracking", "mapping"))

@@ -7,7 +7,7 @@ from typing import Any
 from stillroom.bench.accuracy import NONE, Accuracy
 from stillroom.bench.accuracy import sentences as accuracy_sentences
 from stillroom.bench.observers import ANTS, EXHAUSTIVE, Count, MovingThings, TruthObserver
-from stillroom.bench.trial import FrameAverages, attempt, poses_only
+from stillroom.bench.trial import FrameAverages, all_keypoints, attempt, poses_only
 from stillroom.config import SlamConfig
 from stillroom.config.kinds import ChainConfig
 from stillroom.dynamics.chain import KeepAllConfig, KeepAllKeypointsConfig
@@ -46,6 +46,7 @@ def ablation(preset: SlamConfig) -> dict[str, SlamConfig]:
     The plain homography is RANSAC's answer; compensated, it has been refined (Eq. 11). Where the homography alone
     decides, as the paper has it, depth and pose explain nothing, and the image just before is compared with.
     """
+    preset = all_keypoints(preset)
     every = replace(homography_of(preset), search=EXHAUSTIVE)
     along = replace(every, search="reverse", ants=replace(every.ants, path=replace(every.ants.path, kind=ANTS)))
     plain = replace(every.compensation, magsac=False, refine=False)

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from stillroom.bench.observers import TESTS, GeometryObserver, GeometryTrialConfig, Shown
+from stillroom.bench.trial import all_keypoints, poses_only
 from stillroom.config import SlamConfig
-from stillroom.dense.no_dense_map import NoDenseMapConfig
 from stillroom.dynamics.ants.comparison import SearchComparison, total
 from stillroom.dynamics.homography.point_motion import DYNAMIC, UNKNOWN
 from stillroom.errors import StillroomError
@@ -117,7 +117,7 @@ def geometry_table(
         return made[0]
 
     options = RunOptions(root=None, pictures=0, observe=observe)
-    outcome = run(dataset, replace(config, dense=NoDenseMapConfig()), options, progress)
+    outcome = run(dataset, all_keypoints(poses_only(config)), options, progress)
     if outcome.interrupted:
         raise KeyboardInterrupt
     sums = {which: total(parts) for which, parts in made[0].comparisons.items()}

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from stillroom.bench.accuracy import NONE, Accuracy
-from stillroom.bench.trial import FrameAverages
+from stillroom.bench.trial import FrameAverages, all_keypoints
 from stillroom.config import SlamConfig
 from stillroom.dynamics.chain import KeepAllConfig
 from stillroom.dynamics.cluster_sieve import ClusterSieveConfig
@@ -24,6 +24,7 @@ NO_REJECTION, WHOLE_BOXES, LITERAL, PRESET = "no rejection", "whole boxes", "the
 
 def ways(preset: SlamConfig) -> dict[str, SlamConfig]:
     """Return the configs by name: they differ in the match sieve, and in the clusters that only some of them use."""
+    preset = all_keypoints(preset)
     boxes_only = replace(preset, clusters=NoClustersConfig())
     found = {
         NO_REJECTION: replace(boxes_only, dynamics=KeepAllConfig()),

@@ -121,6 +121,14 @@ class Trial:
         }
 
 
+def all_keypoints(config: SlamConfig) -> SlamConfig:
+    """Return a config that extracts keypoints from every image: what is counted of each image is then of the same sort.
+
+    Flow between keyframes follows some of them only.
+    """
+    return replace(config, tracking=replace(config.tracking, between_keyframes="orb"))
+
+
 def poses_only(config: SlamConfig) -> SlamConfig:
     """Return a config without its dense map, which changes no pose."""
     return replace(config, dense=NoDenseMapConfig())

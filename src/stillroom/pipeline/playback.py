@@ -18,6 +18,8 @@ from stillroom.pipeline.intake import Arrival, Intake
 LOADING = "loading"
 SLOTS = 2
 """How many images a camera keeps until they are taken; one more takes the place of the oldest."""
+MOST_BEGUN = 3
+"""How many images are begun before they are taken: all workers have enough to do then."""
 READ_AHEAD = 4
 """How many images are read before they are taken, where none is ever dropped."""
 POLL_S = 0.1
@@ -164,7 +166,7 @@ class Paced:
         """Return the images that will be delivered next, as far as they are there already; they are not dropped."""
         with self._changed:
             # At their own times the last slot is left to the newest image.
-            n = SLOTS - 1 if self._speed > 0 else len(self._ready)
+            n = SLOTS - 1 if self._speed > 0 else MOST_BEGUN
             coming = [delivered.image for delivered in islice(self._ready, n)]
             begun: list[RgbdImage] = []
             for image in coming:

@@ -1,37 +1,12 @@
 """The live schedule: workers with bounded queues, and how it ends."""
 
 import threading
-from collections.abc import Callable
-from typing import TypeVar
 
 import pytest
+from in_time import PATIENCE_S, soon
 
 from stillroom.errors import ConfigError, MapError
 from stillroom.schedule import QUEUE, Event, InOrder, LiveSchedule, Worker, schedule_of
-
-T = TypeVar("T")
-PATIENCE_S = 60.0
-"""Longer than any of this takes: a test that hangs fails instead."""
-
-
-def soon(work: Callable[[], T]) -> T:
-    """Return what a function returns on another thread; fail where it hangs."""
-    found: list[T] = []
-    raised: list[BaseException] = []
-
-    def try_it() -> None:
-        try:
-            found.append(work())
-        except BaseException as error:  # noqa: BLE001 - raised below
-            raised.append(error)
-
-    thread = threading.Thread(target=try_it, daemon=True)
-    thread.start()
-    thread.join(PATIENCE_S)
-    assert not thread.is_alive(), "it hangs"
-    if raised:
-        raise raised[0]
-    return found[0]
 
 
 def workers() -> list[str]:
@@ -127,6 +102,29 @@ def test_who_awaits_work_that_was_dropped_hears_why() -> None:
     gate.set()
     with pytest.raises(MapError, match="disk is full"):
         soon(dropped.result)
+    soon(schedule.close)
+
+
+def test_a_failure_that_a_worker_meets_first_reaches_the_caller_all_the_same() -> None:
+    """As when mapping wants the dense map refreshed, whose worker has failed."""
+    schedule, gate, met = LiveSchedule(), threading.Event(), []
+
+    def wants_more() -> None:
+        gate.wait()
+        try:
+            schedule.submit(Worker.DENSE, met.append, "done")
+        except BaseException as error:
+            met.append(type(error).__name__)
+            raise
+
+    mapping = schedule.submit(Worker.MAPPING, wants_more)
+    dense = schedule.submit(Worker.DENSE, fail)
+    dense._future.exception(PATIENCE_S)
+    gate.set()
+    mapping._future.exception(PATIENCE_S)
+    assert met == ["CancelledError"]
+    with pytest.raises(MapError, match="disk is full"):
+        schedule.submit(Worker.SEMANTICS, met.append, "next image")
     soon(schedule.close)
 
 

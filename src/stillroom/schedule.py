@@ -153,7 +153,7 @@ class LiveSchedule:
     """Every worker on a thread of its own, with a bounded queue; work of one worker keeps its order.
 
     An exception of work whose result nobody asks for reaches the caller at the next `submit`, `offer` or `close`; what
-    is pending then is dropped. Closed, it runs work at once.
+    is pending then is dropped, and so is work that submits more. Closed, it runs work at once.
 
     Attributes:
         loads: What each worker did, of those that had any work.
@@ -174,6 +174,7 @@ class LiveSchedule:
         self._is_heard = False
         self._is_closed = False
         self._n_waiting_for_clusters = 0
+        self._here = threading.local()
 
     def submit(
         self, worker: Worker, work: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs
@@ -245,10 +246,12 @@ class LiveSchedule:
         try:
             return future.result()
         except CancelledError:
-            self._raise_failure()
-            raise
+            if self._failure is None or self._is_worker:
+                raise
+            self._is_heard = True
+            raise self._failure from None
         except BaseException as error:
-            self._is_heard = self._is_heard or error is self._failure
+            self._is_heard |= error is self._failure and not self._is_worker
             raise
 
     def _start(self, worker: Worker, work: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> _Answer[T]:
@@ -263,6 +266,7 @@ class LiveSchedule:
     def _do(self, worker: Worker, name: str, work: Callable[[], T]) -> T:
         """Do a piece of work on the worker's thread."""
         load = self._load(worker)
+        self._here.is_worker = True
         try:
             if worker is Worker.DENSE:
                 with self._changed:
@@ -295,8 +299,17 @@ class LiveSchedule:
     def _load(self, worker: Worker) -> Load:
         return self.loads.setdefault(worker, Load())
 
+    @property
+    def _is_worker(self) -> bool:
+        """Whether the calling thread is a worker's: what one hears of a failure is not told to the caller."""
+        return getattr(self._here, "is_worker", False)
+
     def _raise_failure(self) -> None:
-        if self._failure is not None and not self._is_heard:
+        if self._failure is None:
+            return
+        if self._is_worker:
+            raise CancelledError
+        if not self._is_heard:
             self._is_heard = True
             raise self._failure
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from in_time import PATIENCE_S, soon
 
 from stillroom.config import SlamConfig
 from stillroom.data.image import RgbdImage
@@ -42,7 +43,6 @@ CONFIG = SlamConfig(
     dense=DenseMapperConfig(),
 )
 MORE_KEYFRAMES = replace(CONFIG, keyframes=replace(CONFIG.keyframes, share=0.95))
-PATIENCE_S = 120.0
 
 
 @pytest.fixture(autouse=True)
@@ -63,22 +63,7 @@ def live(
 ) -> RunOutcome:
     """Run on another thread, so that what hangs fails."""
     options = RunOptions(pictures=0, schedule=schedule or LiveSchedule(), speed=speed, **({"root": None} | more))
-    found: list[RunOutcome] = []
-    raised: list[BaseException] = []
-
-    def work() -> None:
-        try:
-            found.append(run(source, config, options))
-        except BaseException as error:  # noqa: BLE001 - raised below
-            raised.append(error)
-
-    thread = threading.Thread(target=work, daemon=True)
-    thread.start()
-    thread.join(PATIENCE_S)
-    assert not thread.is_alive(), "it hangs"
-    if raised:
-        raise raised[0]
-    return found[0]
+    return soon(lambda: run(source, config, options))
 
 
 def test_a_live_run_tracks_all_and_says_what_it_took(room: Dataset, tmp_path: Path) -> None:

@@ -45,11 +45,8 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 
-class Dataset(Protocol):
-    """A recorded (or rendered) RGB-D sequence with random access: `load` in any order, repeatedly.
-
-    `datasets.recording.Recording` has defaults for all but the first four and `load`.
-    """
+class Origin(Protocol):
+    """Where the images of a run come from: a data set, or a camera."""
 
     @property
     def name(self) -> str:
@@ -57,23 +54,30 @@ class Dataset(Protocol):
 
     @property
     def camera(self) -> Camera:
-        """The calibration in force."""
+        """The calibration of its images; that of a camera is known once it is entered."""
 
     @property
     def camera_source(self) -> str:
         """One line that says where the calibration comes from; shown at the start of a run."""
 
     @property
-    def timestamps_s(self) -> F64:
-        """Times of the colour images (N,) [s], strictly increasing."""
-
-    @property
     def groundtruth(self) -> Trajectory | None:
-        """True poses as the data set gives them, where it has any."""
+        """True poses as they are given, where there are any."""
 
     @property
     def groundtruth_at_camera(self) -> Trajectory | None:
         """The same moved to the camera, where they are those of another body that rides on it; None otherwise."""
+
+
+class Dataset(Origin, Protocol):
+    """A recorded (or rendered) RGB-D sequence with random access: `load` in any order, repeatedly.
+
+    `datasets.recording.Recording` has defaults for all but the first four and `load`.
+    """
+
+    @property
+    def timestamps_s(self) -> F64:
+        """Times of the colour images (N,) [s], strictly increasing."""
 
     @property
     def numbers(self) -> I64:
@@ -105,28 +109,8 @@ class Dataset(Protocol):
         """
 
 
-class CameraStream(Protocol):
+class CameraStream(Origin, Protocol):
     """A camera that delivers images while it takes them; entered before the first image, and left after the last."""
-
-    @property
-    def name(self) -> str:
-        """Short name, used for the results folder."""
-
-    @property
-    def camera(self) -> Camera:
-        """The calibration of its images, once the stream is entered."""
-
-    @property
-    def camera_source(self) -> str:
-        """One line that says where the calibration comes from."""
-
-    @property
-    def groundtruth(self) -> Trajectory | None:
-        """True poses, where there are any, as in a recording that is played; see `Dataset.groundtruth`."""
-
-    @property
-    def groundtruth_at_camera(self) -> Trajectory | None:
-        """The same moved to the camera; see `Dataset.groundtruth_at_camera`."""
 
     @property
     def comes_in_time(self) -> bool:

@@ -11,7 +11,7 @@ from stillroom.data.trajectory import Trajectory
 from stillroom.errors import FrameError
 from stillroom.geometry.arrays import F64, I64
 from stillroom.geometry.camera import Camera
-from stillroom.protocols import CameraStream, Dataset, KnownScene, RenderedDataset
+from stillroom.protocols import Dataset, KnownScene, Origin, RenderedDataset
 
 log = logging.getLogger(__name__)
 
@@ -35,7 +35,7 @@ def unpaired_s(dataset: Dataset) -> F64:
     return np.asarray(getattr(dataset, "unpaired_s", ()), dtype=np.float64)
 
 
-def groundtruth_flaw(dataset: Dataset | CameraStream) -> str:
+def groundtruth_flaw(dataset: Origin) -> str:
     """Return why the ground truth that lies with a data set cannot be used; empty where it can, or there is none."""
     return str(getattr(dataset, "groundtruth_flaw", ""))
 

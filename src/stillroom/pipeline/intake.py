@@ -11,7 +11,7 @@ import numpy as np
 from stillroom.data.image import RgbdImage
 from stillroom.datasets.recording import unpaired_s
 from stillroom.errors import FrameError
-from stillroom.protocols import CameraStream, Dataset
+from stillroom.protocols import CameraStream, Dataset, Origin
 
 FIRST_PICTURE = 30
 """The image of a camera that is drawn first; each further one comes after twice as many, as no one knows the end."""
@@ -36,7 +36,7 @@ class Intake(Protocol):
     """Delivers the images of a run, once."""
 
     @property
-    def origin(self) -> Dataset | CameraStream:
+    def origin(self) -> Origin:
         """Where they come from, with its name, its calibration and its ground truth."""
 
     @property

@@ -44,7 +44,7 @@ from stillroom.errors import NO_MEMORY, ConfigError, StillroomError
 from stillroom.evaluation.report import Evaluation, to_json
 from stillroom.evaluation.timing import FRAME, peak_memory_mb
 from stillroom.pipeline.options import RunOptions, RunOutcome
-from stillroom.protocols import CameraStream, Dataset
+from stillroom.protocols import Origin
 from stillroom.session.provenance import provenance
 from stillroom.system import System
 
@@ -151,7 +151,7 @@ class Truth:
     at_camera: Trajectory | None = None
 
     @classmethod
-    def of(cls, origin: Dataset | CameraStream) -> "Truth | None":
+    def of(cls, origin: Origin) -> "Truth | None":
         """Return that of a sequence or a camera, if it has any."""
         as_given = origin.groundtruth
         return None if as_given is None else cls(as_given, origin.groundtruth_at_camera)
@@ -199,7 +199,7 @@ class Attempts:
             raise self._first
 
 
-def write_config(folder: Path, origin: Dataset | CameraStream, config: SlamConfig, options: RunOptions) -> None:
+def write_config(folder: Path, origin: Origin, config: SlamConfig, options: RunOptions) -> None:
     """Write the effective config and its provenance, before the run begins."""
     source = {} if options.source is None else {"source": asdict(options.source)}
     off = [f"{first}:{end}" for first, end in options.detector_off]

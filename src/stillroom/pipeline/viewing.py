@@ -10,7 +10,7 @@ from stillroom.data.semantics import Semantics
 from stillroom.data.trajectory import Trajectory
 from stillroom.errors import StillroomError
 from stillroom.pipeline.ornaments import FAILURES, Ornaments
-from stillroom.protocols import CameraStream, Dataset, Pending, Schedule
+from stillroom.protocols import Origin, Pending, Schedule
 from stillroom.schedule import Worker
 from stillroom.session.slam import Slam
 from stillroom.system import System
@@ -84,9 +84,7 @@ class Viewers:
 
 
 @contextmanager
-def viewed(
-    slam: Slam, origin: Dataset | CameraStream, destinations: Sequence[Destination], ornaments: Ornaments
-) -> Iterator[Viewers]:
+def viewed(slam: Slam, origin: Origin, destinations: Sequence[Destination], ornaments: Ornaments) -> Iterator[Viewers]:
     """Show a run in all destinations, and let go of them in the end.
 
     Raises:
@@ -122,7 +120,7 @@ class DenseClouds:
         return asked.result()
 
 
-def camera_truth(origin: Dataset | CameraStream) -> Trajectory | None:
+def camera_truth(origin: Origin) -> Trajectory | None:
     """Return the true poses of the camera; None where they are not known, or cannot be used."""
     try:
         return origin.groundtruth_at_camera or origin.groundtruth
@@ -130,7 +128,7 @@ def camera_truth(origin: Dataset | CameraStream) -> Trajectory | None:
         return None
 
 
-def _watched(slam: Slam, origin: Dataset | CameraStream) -> Watched:
+def _watched(slam: Slam, origin: Origin) -> Watched:
     system = slam.system
     return Watched(
         world=system.map,

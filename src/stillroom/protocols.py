@@ -203,6 +203,20 @@ class Segmenter(Protocol):
         """Return boxes or a mask of what is potentially dynamic in the image."""
 
 
+@runtime_checkable
+class KeyframeSegmenter(Segmenter, Protocol):
+    """A segmenter whose network sees keyframes only: which images those are is known after they were tracked.
+
+    Its result for other images is what it carries to them, or nothing. The first image is seen at once.
+    """
+
+    def see(self, image: RgbdImage) -> Semantics:
+        """Return what the network finds in an image that becomes a keyframe.
+
+        `__call__` had the image before; on a live schedule it may have had the next one too.
+        """
+
+
 class Clusterer(Protocol):
     """Clusters the depth cloud of an image. Called once for each image, in order."""
 
@@ -266,6 +280,19 @@ class RememberingSieve(MatchSieve, Protocol):
 
     def corrected(self, T_new_old: F64) -> None:
         """Move stored poses by a motion (4, 4) of the world's coordinates: the map was corrected, as by a loop."""
+
+
+@runtime_checkable
+class KeyframeSieve(MatchSieve, Protocol):
+    """A match sieve that takes up in its own way what a `KeyframeSegmenter` finds in a keyframe."""
+
+    def take_up(self, tracked: Tracked, found: Semantics) -> Motion:
+        """Classify a frame again that becomes a keyframe, before its points are made; `judge` was called for it.
+
+        Args:
+            tracked: The frame, its pose, points, and classification so far.
+            found: What the network finds in it.
+        """
 
 
 class QuickTracking(Protocol):

@@ -1,6 +1,7 @@
 """The system: one image in, one pose out. Read `System.process` first."""
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -14,6 +15,7 @@ from stillroom.data.image import RgbdImage
 from stillroom.data.map import Map, submaps
 from stillroom.data.question import Perceived
 from stillroom.data.result import FrameResult, FrameSummary, Recovery, Tracked
+from stillroom.data.semantics import Semantics
 from stillroom.data.trajectory import Trajectory
 from stillroom.dynamics.asking import Asking
 from stillroom.evaluation.timing import StageClock, timed_part
@@ -28,6 +30,7 @@ from stillroom.protocols import (
     Clusterer,
     DenseMapping,
     FeatureExtractor,
+    KeyframeSegmenter,
     KeypointSieve,
     MapKeeping,
     Parts,
@@ -51,6 +54,7 @@ class System:
 
     schedule: Schedule
     segmenter: Segmenter
+    see: Callable[[RgbdImage], Semantics] | None
     clusterer: Clusterer
     features: FeatureExtractor
     keypoint_sieve: KeypointSieve
@@ -85,6 +89,7 @@ class System:
                 tracked = self.recovery.recover(tracked, semantics, self.map)
             keyframe = -1
             if self.keyframe_policy.wants(tracked, self.map, self._mapping_keeps_up):
+                tracked = self._seen_by_network(tracked)  # where the network sees keyframes only
                 keyframe = self.mapper.insert(tracked)  # now: points from depth, from static keypoints only
             with self.map.lock.let_go():
                 if keyframe >= 0:
@@ -176,6 +181,14 @@ class System:
     def _extracted(self, image: RgbdImage, begun: Pending[Frame] | None) -> Frame:
         """Return the keypoints of an image; those that no worker has begun are awaited by tracking at once."""
         return self.features.extract(image) if begun is None else begun.result()
+
+    def _seen_by_network(self, tracked: Tracked) -> Tracked:
+        """Return a frame that becomes a keyframe, after a network that sees keyframes only has seen it."""
+        if self.see is None:
+            return tracked
+        with self.map.lock.let_go():
+            found = self.schedule.submit(Worker.SEMANTICS, self.see, tracked.frame.image).result()
+        return self.sieve.seen(tracked, found)
 
     @property
     def _mapping_keeps_up(self) -> bool:
@@ -283,6 +296,7 @@ def build(
     config = in_pixels_of(config, camera.pixel_scale)
     clock, world = clock or StageClock(), world or Map(config.features.scales(camera))
     parts = Parts(camera, world, config.seed, clock, schedule or InOrder())
+    segmenter = segmenter or config.semantics.build(parts)
     sieve = timed_part(Asking(config.dynamics.build(parts), world), clock, judge="dynamics", remember="memory")
     tracker = config.tracking.build(parts, sieve, config.low_cost.build(parts, sieve))
     keyframes, keypoint_sieve = config.keyframes.build(parts), config.keypoints.build(parts)
@@ -293,7 +307,8 @@ def build(
     refresh = partial(parts.schedule.submit, Worker.DENSE, dense_mapper.refresh)
     return System(
         schedule=parts.schedule,
-        segmenter=clock.timed("semantics", segmenter or config.semantics.build(parts)),
+        segmenter=clock.timed("semantics", segmenter),
+        see=clock.timed("semantics", segmenter.see) if isinstance(segmenter, KeyframeSegmenter) else None,
         clusterer=clock.timed("clusters", config.clusters.build(parts)),
         features=timed_part(config.features.build(parts), clock, extract="features"),
         keypoint_sieve=keypoint_sieve,

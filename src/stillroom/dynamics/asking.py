@@ -5,7 +5,10 @@ memories are corrected with the map; a result that leaves too few matches is ign
 sieves with a memory. `ImageMemory` caches what was computed for the present image.
 """
 
+from dataclasses import replace
 from typing import Generic, TypeVar
+
+import numpy as np
 
 from stillroom.data.frame import Frame
 from stillroom.data.image import RgbdImage
@@ -13,9 +16,11 @@ from stillroom.data.map import Map
 from stillroom.data.map.jumps import JumpFollower
 from stillroom.data.motion import Motion, Stage
 from stillroom.data.question import Question
+from stillroom.data.result import Tracked
+from stillroom.data.semantics import Semantics
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64
-from stillroom.protocols import MatchSieve, RememberingSieve
+from stillroom.protocols import KeyframeSieve, MatchSieve, RememberingSieve
 
 T = TypeVar("T")
 
@@ -27,6 +32,7 @@ class Asking:
         """Take a new sieve, and the map whose corrections it follows."""
         self.sieve, self._world = sieve, world
         self._memory = sieve if isinstance(sieve, RememberingSieve) else None
+        self._at_keyframes = sieve if isinstance(sieve, KeyframeSieve) else None
         self._jumps = JumpFollower()
 
     def judge(self, question: Question) -> Motion:
@@ -35,6 +41,21 @@ class Asking:
             return question.nothing_moves()
         self._correct()
         return question.enough_of(self.sieve.judge(question))
+
+    def seen(self, tracked: Tracked, found: Semantics) -> Tracked:
+        """Return a frame that becomes a keyframe, classified again by what a network finds in it.
+
+        Args:
+            tracked: The frame.
+            found: What is potentially dynamic in it: dynamic, unless the sieve is a `KeyframeSieve` and says otherwise.
+        """
+        if self._at_keyframes is not None:
+            motion = self._at_keyframes.take_up(tracked, found)
+        else:
+            is_masked = found.movable_at(tracked.frame.keypoints.raw_px)
+            motion = tracked.motion.united_with(Motion(~is_masked, found.movable))
+        point_ids = np.where(motion.is_static, tracked.point_ids, np.int32(-1))
+        return replace(tracked, motion=motion, point_ids=point_ids)
 
     def remember(self, frame: Frame, T_cam_world: F64, keyframe: int) -> None:
         """Pass a tracked frame to a sieve with a memory.

@@ -296,12 +296,10 @@ def build(
     config = in_pixels_of(config, camera.pixel_scale)
     clock, world = clock or StageClock(), world or Map(config.features.scales(camera))
     parts = Parts(camera, world, config.seed, clock, schedule or InOrder())
-    segmenter = segmenter or config.semantics.build(parts)
     sieve = timed_part(Asking(config.dynamics.build(parts), world), clock, judge="dynamics", remember="memory")
     tracker = config.tracking.build(parts, sieve, config.low_cost.build(parts, sieve))
     keyframes, keypoint_sieve = config.keyframes.build(parts), config.keypoints.build(parts)
-    flow = config.tracking.build_flow(tracker, keypoint_sieve, keyframes)
-    places = config.places.build(parts)
+    segmenter, places = segmenter or config.semantics.build(parts), config.places.build(parts)
     places.remember_all()
     dense_mapper = config.dense.build(parts)
     refresh = partial(parts.schedule.submit, Worker.DENSE, dense_mapper.refresh)
@@ -314,7 +312,7 @@ def build(
         keypoint_sieve=keypoint_sieve,
         sieve=sieve,
         tracker=timed_part(tracker, clock, track="tracking"),
-        flow=timed_part(flow, clock, follow="flow"),
+        flow=timed_part(config.tracking.build_flow(tracker, keypoint_sieve, keyframes), clock, follow="flow"),
         recovery=timed_part(config.recovery.build(parts, tracker, places), clock, recover="recovery"),
         keyframe_policy=keyframes,
         mapper=timed_part(config.mapping.build(parts), clock, insert="keyframe", refine="mapping", finish="rest"),

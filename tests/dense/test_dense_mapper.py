@@ -10,9 +10,10 @@ import pytest
 from building import parts
 from plain_room import CAMERA, depth_of_box, flat, image, pose
 from posed_keyframes import PosedKeyframes
+from scipy.spatial import cKDTree
 
 from stillroom.data.dense_cloud import DenseCloud
-from stillroom.dense.carving import CarvingConfig
+from stillroom.dense.carving import KD_TREE, CarvingConfig
 from stillroom.dense.dense_mapper import MB, DenseMapper, DenseMapperConfig
 from stillroom.dense.keyframe_cloud import SurfaceConfig
 from stillroom.dense.voxels.fusing_kernels import SCORE
@@ -178,6 +179,49 @@ def test_what_moves_now_is_removed_from_what_was_fused_before_and_what_lies_besi
     beside = (px[:, 0] < 54) | (px[:, 0] > 116)
     assert on_it.sum() == 0
     assert beside.sum() > 0.95 * n_all * (160 - 50 - 6 - 6) / 160
+
+
+TREE = DenseMapperConfig(carving=CarvingConfig(rule=KD_TREE), fuse_every=0)
+"""OC-SLAM 2.6: all is fused, then what moved is removed by Kd-tree."""
+
+
+def test_by_the_papers_rule_a_keyframe_removes_all_near_its_moving_points_and_nothing_else() -> None:
+    moving, mapper, plain = with_block() < 2, TREE.build(parts(CAMERA, still())), PLAIN.build(parts(CAMERA, still()))
+    for k, excluded in enumerate((None, moving)):
+        mapper.integrate(k, image(with_block(), k), excluded)
+        plain.integrate(k, image(with_block(), k), excluded)
+    before, after = plain.cloud(), mapper.cloud()
+    row, column = np.nonzero(moving)
+    points_m = CAMERA.back_project(np.stack((column, row), axis=1), with_block()[moving])
+    distance_m, _ = cKDTree(points_m).query(before.positions_m)
+    near, radius_m = distance_m < 0.02, TREE.carving.radius_m
+    kept = {tuple(point) for point in after.positions_m.tolist()}
+    assert near.sum() > 500
+    assert not any(tuple(point) in kept for point in before.positions_m[near].tolist())
+    far = before.positions_m[distance_m > radius_m + 0.02]
+    assert all(tuple(point) in kept for point in far.tolist())
+    assert len(far) > 2000
+
+
+def test_by_the_papers_rule_no_ray_carves_and_frames_between_keyframes_do_nothing() -> None:
+    mapper = TREE.build(parts(CAMERA, still()))
+    mapper.integrate(0, image(with_block(), 0))
+    before = mapper.cloud()
+    for k in range(1, 60):
+        mapper.carve(image(flat(3.0), k), pose(), np.zeros(flat(3.0).shape, dtype=np.bool_))
+    assert n_near(mapper, 1.5) > 200
+    assert same(mapper.cloud(), before)
+
+
+def test_by_the_papers_rule_too_what_was_removed_stays_removed_when_poses_change() -> None:
+    world = still()
+    mapper = TREE.build(parts(CAMERA, world))
+    mapper.integrate(0, image(with_block(), 0))
+    mapper.integrate(1, image(with_block(), 1), with_block() < 2)
+    world.keyframes.T_world_cam[0] = pose(0.05)
+    mapper.refresh()
+    assert n_near(mapper, 1.5) == 0
+    assert n_near(mapper, 3.0) > 2000
 
 
 def test_what_was_removed_does_not_come_back_when_its_keyframe_is_fused_anew() -> None:

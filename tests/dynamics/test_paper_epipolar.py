@@ -1,83 +1,16 @@
-"""The paper's rule: pairs in a box go when they lie too far from the line that pairs outside the boxes draw."""
+"""The constraint of section 2.2: pairs in a box go where they are off the line that pairs outside boxes draw."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from asked import ask
 from building import parts
-from flat_wall import in_box
-from small_world import CAMERA, SCALES, SmallWorld, no_semantics, pose
+from small_world import no_semantics, pose
+from two_looks import CROWD, Pair, static_pair
 
-from stillroom.data.frame import Frame
-from stillroom.data.map import Map
-from stillroom.data.matches import Matches
-from stillroom.data.motion import Motion, Stage
+from stillroom.data.motion import Stage
 from stillroom.data.semantics import Box, Semantics
-from stillroom.dynamics.paper_epipolar import PaperEpipolarConfig, PaperEpipolarSieve
-from stillroom.geometry import se3
-from stillroom.schedule import Done
-
-WORLD = SmallWorld.of(3, 700, near_m=1.2)
-THEN, NOW = pose(), pose(0.12, -0.05, 0.03, turn=(0.01, -0.02, 0.015))
-BOX = Box(200, 0, 419, 479, "person", 0.9)
-CROWD = Semantics(480, 640, (BOX,))
-
-
-@dataclass(frozen=True)
-class Pair:
-    """Two looks at one world: the present frame, and where its keypoints were before."""
-
-    frame: Frame
-    matches: Matches
-    T_world_now: np.ndarray
-
-    @property
-    def inside(self) -> np.ndarray:
-        """Which keypoints lie in the box."""
-        return in_box(self.frame, BOX)
-
-    def moved(self, keypoints: np.ndarray, by_px: float) -> "Pair":
-        """Shift keypoints (K,) at right angles to their epipolar lines."""
-        px = self.frame.keypoints.px.copy()
-        px[keypoints] += (by_px * normals(self.matches.reference_px[keypoints], self.T_world_now)).astype(np.float32)
-        return replace(self, frame=replace(self.frame, keypoints=replace(self.frame.keypoints, px=px)))
-
-    def ask(
-        self,
-        stage: Stage = Stage.MOTION_MODEL,
-        sieve: PaperEpipolarSieve | None = None,
-        matches: Matches | None = None,
-        semantics: Semantics = CROWD,
-    ) -> Motion:
-        sieve = sieve or PaperEpipolarConfig().build(parts())
-        matches = matches or self.matches
-        return ask(sieve, stage, self.frame, matches, Done(semantics), np.eye(4), Map(SCALES))
-
-
-def normals(then_px: np.ndarray, T_world_now: np.ndarray) -> np.ndarray:
-    """Unit normals (N, 2) of the epipolar lines in the present image: each through two places of its point's ray."""
-    T_now_then = np.linalg.inv(T_world_now) @ THEN
-    ends = [
-        CAMERA.project(se3.transform(T_now_then, CAMERA.back_project(then_px, np.full(len(then_px), z_m))))
-        for z_m in (1.0, 9.0)
-    ]
-    along = ends[1] - ends[0]
-    return np.stack((-along[:, 1], along[:, 0]), axis=1) / np.linalg.norm(along, axis=1, keepdims=True)
-
-
-def static_pair(T_world_now: np.ndarray = NOW) -> Pair:
-    """All stands still, without noise."""
-    before, before_seen = WORLD.look(THEN, seed=1, index=6)
-    now, now_seen = WORLD.look(T_world_now, seed=2, index=7)
-    place = {int(point): k for k, point in enumerate(before_seen)}
-    known = np.array([int(point) in place for point in now_seen])
-    columns = {name: getattr(now.keypoints, name)[known] for name in vars(now.keypoints)}
-    now = replace(now, keypoints=replace(now.keypoints, **columns), is_static=now.is_static[known])
-    reference_px = before.keypoints.px[[place[int(point)] for point in now_seen[known]]]
-    number = np.arange(len(now), dtype=np.int32)
-    return Pair(now, Matches(number, number, reference_px), T_world_now)
-
+from stillroom.dynamics.paper_epipolar import PRINTED, PaperEpipolarConfig
 
 PAIR = static_pair()
 INSIDE = np.flatnonzero(PAIR.inside)
@@ -187,3 +120,43 @@ def test_where_nothing_may_move_nothing_does() -> None:
     motion = PAIR.moved(MOVED, 6.0).ask(semantics=no_semantics().result())
     assert motion.is_static.all()
     assert not motion.moving.any()
+
+
+LEFT = Box(0, 0, 199, 479, "person", 0.9)
+BESIDE = Semantics(480, 640, (LEFT,))
+
+
+def in_the_left(pair: Pair) -> np.ndarray:
+    """Which pairs were in the box on the left in the first look (N,)."""
+    x, y = pair.matches.reference_px.T
+    return (x >= LEFT.x_min_px) & (x <= LEFT.x_max_px) & (y >= LEFT.y_min_px) & (y <= LEFT.y_max_px)
+
+
+@pytest.mark.parametrize("keyframe", [-1, 4])
+@pytest.mark.parametrize("remembers", [False, True])
+def test_the_matrix_comes_from_outside_the_boxes_of_both_images(keyframe: int, remembers: bool) -> None:
+    """Who was on the left has left his box, and moves with so many points that all lines would be his."""
+    left, inside = in_the_left(PAIR), PAIR.inside
+    others = np.flatnonzero(~left & ~inside)[:20]
+    chosen = np.concatenate((np.flatnonzero(left), others, INSIDE))
+    pair = PAIR.moved(np.flatnonzero(left & ~inside), 9.0)
+    matches = replace(pair.matches.keep(np.isin(pair.matches.keypoint, chosen)), keyframe=keyframe)
+    sieve = PaperEpipolarConfig().build(parts())
+    if remembers:
+        first = replace(pair.frame, image=replace(pair.frame.image, index=pair.frame.image.index - 1))
+        replace(pair, frame=first).ask(sieve=sieve, semantics=BESIDE)
+        sieve.remember(first, np.eye(4), keyframe)
+    stage = Stage.MOTION_MODEL if keyframe < 0 else Stage.REFERENCE_KEYFRAME
+    motion = pair.ask(stage, sieve, matches)
+    if remembers:
+        assert motion.is_static.all(), "what stands still in the box is judged by what stands still outside"
+    else:
+        assert np.count_nonzero(~motion.is_static[INSIDE]) > 0.3 * len(INSIDE), "judged by who left"
+
+
+def test_equation_2_as_printed_rejects_nothing() -> None:
+    """The same pairs, ten pixels off: the corrected distance finds all of them."""
+    sieves = [PaperEpipolarConfig(distance=kind).build(parts()) for kind in ("corrected", PRINTED)]
+    corrected, printed = (PAIR.moved(MOVED, 10.0).ask(sieve=sieve) for sieve in sieves)
+    np.testing.assert_array_equal(corrected.is_static, expected(MOVED))
+    assert printed.is_static.all()

@@ -8,6 +8,7 @@ import numpy as np
 
 from stillroom.bench.accuracy import NONE, Accuracy
 from stillroom.bench.accuracy import sentences as accuracy_sentences
+from stillroom.bench.rejection import AS_PRINTED, as_printed
 from stillroom.bench.trial import FrameAverages
 from stillroom.config import SlamConfig
 from stillroom.dynamics.chain import KeepAllConfig
@@ -29,7 +30,7 @@ NEITHER, BOXES, CLUSTERS, BOTH = "none", "boxes only", "clusters only", "both"
 
 
 def parts(preset: SlamConfig) -> dict[str, SlamConfig]:
-    """Return four configs by name, from a method that rejects by boxes and clusters.
+    """Return five configs by name, from a method that rejects by boxes and clusters.
 
     Raises:
         ConfigError: The method does not.
@@ -46,6 +47,7 @@ def parts(preset: SlamConfig) -> dict[str, SlamConfig]:
         BOXES: replace(without_clusters, dynamics=dynamics.boxes),
         CLUSTERS: replace(preset, semantics=NothingConfig()),
         BOTH: preset,
+        AS_PRINTED: as_printed(preset),
     }
 
 

@@ -12,6 +12,7 @@ from stillroom.dynamics.cluster_sieve import ClusterSieveConfig
 from stillroom.dynamics.paper_epipolar import PaperEpipolarConfig
 from stillroom.dynamics.whole_boxes import WholeBoxesConfig
 from stillroom.evaluation.report import percent
+from stillroom.presets import oc_slam_paper
 from stillroom.semantics.depth_clusters import NoClustersConfig
 
 WITHOUT_CLUSTERS = "the preset without clusters"
@@ -19,7 +20,8 @@ HEADER = ("rejection", "ATE [m]", "min", "max", "tracked", "static kept", "of ke
 """Names of the columns of `row`."""
 
 
-NO_REJECTION, WHOLE_BOXES, LITERAL, PRESET = "no rejection", "whole boxes", "the paper's literal rule", "the preset"
+NO_REJECTION, WHOLE_BOXES, PAIRS_ONLY, PRESET = "no rejection", "whole boxes", "OC-SLAM 2.2 alone", "the preset"
+AS_PRINTED = "OC-SLAM as printed"
 
 
 def ways(preset: SlamConfig) -> dict[str, SlamConfig]:
@@ -29,11 +31,18 @@ def ways(preset: SlamConfig) -> dict[str, SlamConfig]:
     found = {
         NO_REJECTION: replace(boxes_only, dynamics=KeepAllConfig()),
         WHOLE_BOXES: replace(boxes_only, dynamics=WholeBoxesConfig()),
-        LITERAL: replace(boxes_only, dynamics=PaperEpipolarConfig()),
+        PAIRS_ONLY: replace(boxes_only, dynamics=PaperEpipolarConfig()),
+        AS_PRINTED: as_printed(preset),
     }
     if isinstance(preset.dynamics, ClusterSieveConfig):
         found[WITHOUT_CLUSTERS] = replace(boxes_only, dynamics=preset.dynamics.boxes)
     return found | {PRESET: preset}
+
+
+def as_printed(preset: SlamConfig) -> SlamConfig:
+    """Return a config whose rejection is OC-SLAM's to the letter, with boxes that are not carried."""
+    paper = oc_slam_paper.METHOD.config
+    return replace(preset, semantics=paper.semantics, clusters=paper.clusters, dynamics=paper.dynamics)
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,7 @@ from stillroom.dynamics.epipolar_sieve import EpipolarConfig
 from stillroom.dynamics.homography.homography_sieve import CompensatedHomographyConfig
 from stillroom.dynamics.masked_keypoints import MaskedKeypointsConfig
 from stillroom.dynamics.multiview.multiview_sieve import CodeMultiViewConfig, MultiViewConfig, PaperMultiViewConfig
+from stillroom.dynamics.paper_clusters import PaperClustersConfig
 from stillroom.dynamics.paper_epipolar import PaperEpipolarConfig
 from stillroom.dynamics.segment_sieve import MovedSegmentsConfig
 from stillroom.dynamics.whole_boxes import WholeBoxesConfig
@@ -44,6 +45,7 @@ SINGLE_SIEVES: Mapping[str, type[Any]] = {
     "keep-all": KeepAllConfig,
     "whole-boxes": WholeBoxesConfig,
     "paper-epipolar": PaperEpipolarConfig,
+    "paper-clusters": PaperClustersConfig,
     "epipolar": EpipolarConfig,
     "clusters": ClusterSieveConfig,
     "multiview": MultiViewConfig,

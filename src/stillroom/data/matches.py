@@ -16,11 +16,13 @@ class Matches:
         point_id: Id of the map point (M,) int32; each at most once.
         reference_px: Undistorted pixel of the point in the image that it is matched from (M, 2) float32:
             the last frame in the motion-model stage, a keyframe in the others. NaN where not known.
+        keyframe: Id of the keyframe that `reference_px` are in; −1 where they are in the last frame, or not known.
     """
 
     keypoint: I32
     point_id: I32
     reference_px: F32
+    keyframe: int = -1
 
     def __len__(self) -> int:
         """Number of pairs."""
@@ -28,7 +30,7 @@ class Matches:
 
     def keep(self, chosen: Bool) -> "Matches":
         """Return the pairs that are chosen (M,)."""
-        return Matches(self.keypoint[chosen], self.point_id[chosen], self.reference_px[chosen])
+        return Matches(self.keypoint[chosen], self.point_id[chosen], self.reference_px[chosen], self.keyframe)
 
     @staticmethod
     def of(point_ids: I32) -> "Matches":

@@ -30,6 +30,7 @@ from stillroom.geometry.arrays import F32, F64, I32, I64, U8, U16, Bool, Floats
 from stillroom.geometry.camera import Camera
 from stillroom.geometry.pixels import Shape, element
 
+EVIDENCE, KD_TREE = "evidence", "kd-tree"
 MOST_CELLS = 1 << 21
 SAMPLES = 64
 LEAST_SHARE = 0.1
@@ -214,13 +215,17 @@ class Witnesses:
 class CarvingConfig:
     """Carving: what is removed from the map.
 
-    Each voxel has a score. A depth image in which it is a surface raises the score by `hit`, one whose rays pass
-    through it lowers it by 1, between `lowest` and `highest`. Voxels with a score above 0 are shown, and one that is
-    passed at `lowest` is emptied. A voxel that gets its first pixels starts with the score that earlier images give
-    it: what appears in free space must be hit several times before it is shown.
+    By the rule "evidence" each voxel has a score. A depth image in which it is a surface raises the score by `hit`, one
+    whose rays pass through it lowers it by 1, between `lowest` and `highest`. Voxels with a score above 0 are shown,
+    and one that is passed at `lowest` is emptied. A voxel that gets its first pixels starts with the score that earlier
+    images give it: what appears in free space must be hit several times before it is shown.
+
+    By the rule "kd-tree", OC-SLAM's (2.6), keyframes are fused whole, and then the map points near what moves in them
+    are removed, found by Kd-tree; there are no scores, and no ray carves.
 
     Attributes:
         removal: Whether anything is removed; if not, dynamic pixels are fused like all others.
+        rule: evidence or kd-tree; see above.
         radius_m: Voxels nearer than this to dynamic points are emptied, unless the same image shows them as static.
         tolerance_m, tolerance_share: A ray passes a voxel when it ends behind it by more than the larger of the first
             and this share of the depth, with all rays around it.
@@ -230,6 +235,7 @@ class CarvingConfig:
     """
 
     removal: bool = True
+    rule: str = bounded(EVIDENCE, one_of=(EVIDENCE, KD_TREE))
     radius_m: float = bounded(0.05, least=0)
     tolerance_m: float = bounded(0.05, least=0)
     tolerance_share: float = bounded(0.035, least=0)
@@ -238,6 +244,16 @@ class CarvingConfig:
     highest: int = bounded(6, least=1)
     n_asked: int = bounded(8, least=1)
     every: int = bounded(8, least=1)
+
+    @property
+    def scores(self) -> bool:
+        """Whether voxels have scores."""
+        return self.removal and self.rule == EVIDENCE
+
+    @property
+    def by_tree(self) -> bool:
+        """Whether what moves is removed after it was fused, by Kd-tree alone."""
+        return self.removal and self.rule == KD_TREE
 
 
 class Carver:
@@ -335,6 +351,13 @@ class Carver:
             judge_rows(rows, positions_m, voxels.rows, view, self._seeing, self._scoring, heard)
         voxels.score[rows[~heard]] = 1  # no earlier image contradicts these
 
+    def remove_near_moving(self, image: RgbdImage, excluded: Bool, T_world_cam: F64, now: int) -> None:
+        """Empty all voxels near the dynamic pixels (H, W) of a keyframe that was fused whole; other arguments as above.
+
+        OC-SLAM 2.6.
+        """
+        self._remove_moving(small_depth(image.depth_m, excluded, self._stride), T_world_cam, now, spares=False)
+
     def _judge(self, depth: U16, T_world_cam: F64, now: int) -> None:
         """Update the scores of what is in view from a subsampled depth image (h, w)."""
         voxels, T_cam_world = self.voxels, se3.inverse(T_world_cam)
@@ -344,8 +367,8 @@ class Carver:
         judge_in_view(near, judged, now, view, self._seeing, self._scoring)
         self._since_judged = 0
 
-    def _remove_moving(self, depth: U16, T_world_cam: F64, now: int) -> None:
-        """Empty voxels near dynamic pixels (h, w) that the image shows neither as static nor as passed."""
+    def _remove_moving(self, depth: U16, T_world_cam: F64, now: int, spares: bool = True) -> None:
+        """Empty voxels near dynamic pixels (h, w); it spares those that the image shows as static or as passed."""
         voxels, config = self.voxels, self.config
         moving = MovingPoints(self._moving_points(depth, T_world_cam))
         close = moving.near(voxels.block_centres_m, config.radius_m + voxels.block_radius_m)
@@ -355,11 +378,11 @@ class Carver:
         positions_m = mean_positions(rows, voxels.key, voxels.rows, voxels.voxel_m)
         perhaps = moving.perhaps_near(positions_m, config.radius_m)
         rows, positions_m = rows[perhaps], positions_m[perhaps]
-        view = SmallDepthView(se3.inverse(T_world_cam), self._lens, views_of(depth))
-        said = answers(positions_m, view, self._seeing)
-        open_to_it = said == NOTHING
-        gone = moving.near(positions_m[open_to_it], config.radius_m)
-        voxels.void(rows[open_to_it][gone], now, config.lowest)
+        if spares:
+            view = SmallDepthView(se3.inverse(T_world_cam), self._lens, views_of(depth))
+            open_to_it = answers(positions_m, view, self._seeing) == NOTHING
+            rows, positions_m = rows[open_to_it], positions_m[open_to_it]
+        voxels.void(rows[moving.near(positions_m, config.radius_m)], now, config.lowest)
 
     def _moving_points(self, depth: U16, T_world_cam: F64) -> F64:
         """Return the dynamic points (M, 3) [m, world]."""

@@ -158,6 +158,7 @@ class DenseMapper:
         self._since_fused = 0
         self._fuse_image = timed("dense: fusing", self._fuse)
         self._judge_keyframe = timed("dense: removal", self._carver.judge_keyframe)
+        self._remove_near_moving = timed("dense: removal", self._carver.remove_near_moving)
         self._ask_earlier = timed("dense: doubts", self._carver.ask_earlier)
         self._correct_some = timed("dense: corrections", self._correct)
 
@@ -182,9 +183,11 @@ class DenseMapper:
         self._view_of[keyframe] = self._views.new(keyframe, np.eye(4))
         self._fuse_image(self._view_of[keyframe], image, excluded, T_world_cam)
         self._last_keyframe = keyframe
-        if self.config.carving.removal:
+        if self.config.carving.scores:
             self._judge_keyframe(keyframe, image, excluded, T_world_cam, self._tick())
             self._ask_earlier(self._newborn)
+        elif self.config.carving.by_tree and excluded is not None:
+            self._remove_near_moving(image, excluded, T_world_cam, self._tick())
         self._correct_some(self.config.corrections)
         self._keep_within_bound(T_world_cam)
 
@@ -198,16 +201,16 @@ class DenseMapper:
         """
         if self._last_keyframe < 0 or not np.all(np.isfinite(T_world_cam)):
             return
-        keyframe, removal = self._last_keyframe, self.config.carving.removal
+        keyframe, scores = self._last_keyframe, self.config.carving.scores
         T_keyframe_cam = se3.inverse(self.world.keyframe_pose(keyframe)) @ T_world_cam
         self._since_fused += 1
-        if removal and not self._carver.judge_frame(
+        if scores and not self._carver.judge_frame(
             keyframe, T_keyframe_cam, image, excluded, T_world_cam, self._tick()
         ):
             return
         if 0 < self.config.fuse_every <= self._since_fused:
             self._fuse(self._views.new(keyframe, T_keyframe_cam), image, excluded, T_world_cam)
-            if removal:
+            if scores:
                 self._carver.ask_earlier(self._newborn)
             self._keep_within_bound(T_world_cam)
 
@@ -222,7 +225,7 @@ class DenseMapper:
         key = np.concatenate((self.voxels.key, swapped["key"]))
         rows = np.concatenate((self.voxels.rows, swapped["row"]))
         shown = rows[:, WEIGHT] >= max(1.0, config.least_pixels * FULL_WEIGHT)
-        if config.carving.removal:
+        if config.carving.scores:
             shown &= rows[:, SCORE] > 0
         if self.world.n_submaps > 1:
             centres_m = (unpack(key) + 0.5) * config.voxel_m
@@ -233,7 +236,7 @@ class DenseMapper:
 
     def _fuse(self, view: int, image: RgbdImage, excluded: Bool | None, T_world_cam: F64) -> None:
         self._bring_back_in_view(T_world_cam)
-        cloud, normals = self._maker.make(image, excluded if self.config.carving.removal else None)
+        cloud, normals = self._maker.make(image, excluded if self.config.carving.scores else None)
         self._put_in(view, cloud, normals, T_world_cam)
         self._since_fused = 0
 
@@ -264,7 +267,7 @@ class DenseMapper:
             T_world_cam = self._views.pose_now(view, self.world)
             cloud, normals = self._take_out(view)
             self._put_in(view, cloud, normals, T_world_cam)
-            if self.config.carving.removal:
+            if self.config.carving.scores:
                 self._carver.ask_earlier(self._newborn)
             if most is None:
                 self._keep_within_bound(T_world_cam)

@@ -33,7 +33,8 @@ class ClusterSieveConfig:
     for motion, less than half against it; the evidence is accumulated over images as log-odds.
 
     Differs from the paper: depth pairs stand beside the matches, because a cluster that has just appeared has no
-    matches; one image does not decide alone; and a box is prior evidence, no proof.
+    matches; one image does not decide alone; and a box is prior evidence, no proof. The rule as printed is
+    `dynamics.kind = "paper-clusters"`.
 
     Attributes:
         boxes: The sieve for keypoints in boxes.

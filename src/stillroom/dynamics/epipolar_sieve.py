@@ -23,7 +23,7 @@ class EpipolarConfig:
     keyframe that saw the point first, not estimated between neighbouring frames, where the camera has hardly moved and
     F is degenerate; depth decides where the line distance cannot (a surface must have been where the keypoint is
     now in earlier depth images, and never absent from there); and what is not shown to be static is dynamic.
-    The paper's own rule is `dynamics.kind = "paper-epipolar"`.
+    Section 2.2 as printed is `dynamics.kind = "paper-epipolar"`, with section 2.5 `"paper-clusters"`.
 
     Attributes:
         motion_model_px, keyframe_px, local_map_px: Largest distance from the epipolar line at each stage, on the

@@ -62,6 +62,22 @@ def line_distances_px(F_second_first: Floats, first_px: Floats, second_px: Float
     return np.where(norm > 0, numerator / np.where(norm > 0, norm, 1.0), np.inf)
 
 
+def printed_line_distances(F_second_first: Floats, first_px: Floats, second_px: Floats) -> F64:
+    """Return OC-SLAM's Eq. 2 as it is printed, (N,): p₂ᵀ F p₁ / √(A² + B² + C²), with a sign.
+
+    It is no distance: C, of a line through an image, is some hundred times A and B, so that the result is as many times
+    smaller than `line_distances_px`, and it is negative on one side of the line. 0 where F gives no line.
+
+    Args:
+        F_second_first: The matrix (3, 3).
+        first_px, second_px: The pairs (N, 2).
+    """
+    F = np.asarray(F_second_first)
+    lines = first_px @ F[:, :2].T + F[:, 2]
+    norm = np.linalg.norm(lines, axis=1)
+    return np.asarray((np.sum(lines[:, :2] * second_px, axis=1) + lines[:, 2]) / np.where(norm > 0, norm, 1.0))
+
+
 @njit(nogil=True, cache=True)
 def motion_line_distances_px(
     T_second_world: F64, T_world_first: F64, first: I32, first_px: F64, second_px: F64, lens: Lens

@@ -1,10 +1,19 @@
 """OC-SLAM: YOLO-Fastest's boxes and the clusters of the depth cloud, and which of them are dynamic.
 
-Differs from the paper: epipolar lines are taken from the tracked pose and helped by depth, what lies in a box is
-dynamic until shown to be static (`dynamics/epipolar_sieve.py`), and a cluster is judged by depth as well as by its
-matches, over more than one image (`dynamics/cluster_sieve.py`). Between keyframes most images are tracked by optical
-flow (`tracking/flow_tracking.py`); `--set tracking.between_keyframes=orb` is ORB-SLAM2's way. The paper's literal rule
-is `--set dynamics.kind=paper-epipolar`; boxes without clusters are `--set clusters.kind=nothing`.
+Differs from the paper, which is the preset `oc-slam-paper`:
+
+* boxes are carried over images in which the detector misses them, and then continue at a confidence below 0.80;
+* only persons have boxes;
+* epipolar lines are taken from the tracked pose and the image that saw a point first, and a depth history of ten
+  seconds decides where they cannot: what lies in a box is dynamic until it is shown to be static
+  (`dynamics/epipolar_sieve.py`);
+* a cluster is judged by depth as well as by its matches, over more than one image; large planes never move
+  (`dynamics/cluster_sieve.py`);
+* every cluster in a box is left out of the dense map, whether it moved or not, and free space is carved from it;
+* loops are closed, the map is optimised a last time at the end, and between keyframes most images are tracked by
+  optical flow (`tracking/flow_tracking.py`); `--set tracking.between_keyframes=orb` is ORB-SLAM2's way.
+
+Boxes without clusters are `--set clusters.kind=nothing`.
 """
 
 from stillroom.config import SlamConfig

@@ -15,7 +15,7 @@ from stillroom.bounds import check
 from stillroom.config import SlamConfig, read_toml, updated, with_overrides
 from stillroom.errors import ConfigError
 from stillroom.plugins import PluginGroup
-from stillroom.presets import dynaslam, dynaslam_g, dynaslam_n, oc_slam, orb_slam2, pspnet_slam
+from stillroom.presets import dynaslam, dynaslam_g, dynaslam_n, oc_slam, oc_slam_paper, orb_slam2, pspnet_slam
 from stillroom.presets.method import Method
 
 __all__ = ["DEFAULT", "OWN", "Method", "all_methods", "configure", "method"]
@@ -26,6 +26,7 @@ PLUGINS: PluginGroup[Method] = PluginGroup(
 OWN = (
     orb_slam2.METHOD,
     oc_slam.METHOD,
+    oc_slam_paper.METHOD,
     pspnet_slam.METHOD,
     dynaslam.METHOD,
     dynaslam_n.METHOD,

@@ -15,6 +15,7 @@ from stillroom.semantics.onnx.onnx_detector import DetectionNetwork, DetectorInp
 from stillroom.semantics.onnx.onnx_session import find_model, open_content
 
 SHIPPED = {"1.1": "yolo_fastest_1.1_coco.onnx", "1.1-xl": "yolo_fastest_1.1_xl_coco.onnx"}
+EVERY_CLASS = ("*",)
 
 
 @dataclass(frozen=True)
@@ -25,7 +26,7 @@ class YoloFastestConfig:
         variant: "1.1", or the larger "1.1-xl".
         confidence: Objectness × class probability from which a box counts (OC-SLAM 2.1: 80 of 100).
         nms_iou: Highest overlap that two boxes of one class may have; of more, the best is kept.
-        movable: Names of the potentially dynamic classes; the others are not reported.
+        movable: Names of the potentially dynamic classes, or "*" for all; the others are not reported.
         model: Another network, a file of `stillroom export yolo`; a bare name is looked up in the model folders.
             Empty is the variant that comes with Stillroom.
         carry: How boxes are propagated over the frames in which they are missed.
@@ -54,11 +55,12 @@ class YoloFastestConfig:
         """Return the bare detector, which reports boxes from a confidence on."""
         check(self)
         file = self._file()
-        chosen = [self._number(name, file) for name in self.movable]
+        names = file.heads.classes if self.movable == EVERY_CLASS else self.movable
+        chosen = [self._number(name, file) for name in names]
         # The input is RGB in 0–255, stretched.
         network = DetectionNetwork(open_content(file.cut_to(chosen), file.path), file.path, DetectorInput())
         heads = file.layout(DetectionRequest(file.path, len(chosen), range(len(chosen)), confidence))
-        return OnnxDetector(network, heads, self.movable, self.nms_iou)
+        return OnnxDetector(network, heads, names, self.nms_iou)
 
     def _file(self) -> DarknetFile:
         if self.model is not None:

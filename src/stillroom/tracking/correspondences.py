@@ -86,7 +86,7 @@ def with_keyframe(frame: Frame, keyframe: int, world: Map) -> Matches:
     )
     target, place = usable[mine].astype(np.int32), seen[theirs]
     steady = consistent_rotation(world.keypoints.angle_rad[rows][place], frame.keypoints.angle_rad[target])
-    return Matches(target, point[place], world.keypoints.px[rows][place]).keep(steady)
+    return Matches(target, point[place], world.keypoints.px[rows][place], keyframe).keep(steady)
 
 
 def with_points(

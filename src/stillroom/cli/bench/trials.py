@@ -101,7 +101,7 @@ def rejection(
     settings: Settings = None,
     out: Out = None,
 ) -> None:
-    """Compare no rejection, whole boxes, the paper's literal rule and the preset: ATE, coverage, features kept."""
+    """Compare no rejection, whole boxes, OC-SLAM as printed and the preset: ATE, coverage, features kept."""
     bench = Bench("rejection", out)
     dataset = bench.open(Source(sequence, camera, frames=frames))
     configs = ways(configure(method, None, settings or ()))

@@ -25,6 +25,7 @@ from stillroom.errors import ConfigError, StillroomError
 from stillroom.evaluation.report import evaluate
 from stillroom.evaluation.timing import StageClock
 from stillroom.pipeline import RunOptions, run
+from stillroom.presets import oc_slam_paper
 from stillroom.presets.registry import configure, method
 from stillroom.semantics.depth_clusters import DepthClustersConfig, NoClustersConfig
 
@@ -62,6 +63,9 @@ def test_accuracy_has_a_row_for_each_method_and_a_run_for_each_seed(
         cells = line.split()
         assert cells[1:5] == [f"{spread[name]:.4f}" for name in ("median", "mean", "min", "max")]
         assert "100.0 %" in line
+        costs_ms = [one["frame_cpu_ms"] for one in row["runs"]]
+        assert min(costs_ms) > 0.5
+        assert cells[-1] == f"{np.median(costs_ms):.1f}"
     base, ours = (row["ate_se3_m"]["median"] for row in figures["rows"])
     assert figures["rows"][0]["improvement_percent"] is None
     assert figures["rows"][1]["improvement_percent"] == pytest.approx((1 - ours / base) * 100)
@@ -82,7 +86,7 @@ def test_rejection_prints_a_row_for_each_way_and_counts_what_is_kept(tmp_path: P
     result = invoke("rejection", ROOM, "--json", str(file))
     assert result.exit_code == 0, result.output
     rows = {row["method"]: row for row in json.loads(file.read_text())["rows"]}
-    ways = ["no rejection", "whole boxes", "OC-SLAM 2.2 alone", "OC-SLAM as printed"]
+    ways = ["no rejection", "whole boxes", "OC-SLAM 2.2 alone", "OC-SLAM as printed", "… its Eq. 2 too"]
     ways += ["the preset without clusters", "the preset"]
     assert list(rows) == ways
     for name in rows:
@@ -113,10 +117,16 @@ def test_rejection_prints_a_row_for_each_way_and_counts_what_is_kept(tmp_path: P
 def test_the_ways_differ_in_the_sieve_and_the_clusters_it_asks_for() -> None:
     preset = all_keypoints(method("oc-slam").config)
     found = ways(method("oc-slam").config)
-    assert len({type(config.dynamics) for config in found.values()}) == len(found) == 5
+    assert len({config.dynamics for config in found.values()}) == len(found) == 7
     for name, config in found.items():
-        assert isinstance(config.clusters, DepthClustersConfig if name == "the preset" else NoClustersConfig)
-        assert replace(config, dynamics=preset.dynamics, clusters=preset.clusters) == preset
+        has_clusters = name in ("the preset", "OC-SLAM as printed", "… its Eq. 2 too")
+        assert isinstance(config.clusters, DepthClustersConfig if has_clusters else NoClustersConfig)
+        as_preset = {part: getattr(preset, part) for part in ("dynamics", "clusters", "semantics")}
+        assert replace(config, **as_preset) == preset
+    printed = found["OC-SLAM as printed"]
+    assert not printed.semantics.carry.enabled
+    assert printed.dynamics == oc_slam_paper.METHOD.config.dynamics
+    assert found["… its Eq. 2 too"].dynamics.pairs.distance == "printed"
 
 
 def test_speed_tells_stages_in_units(tmp_path: Path) -> None:
@@ -190,7 +200,7 @@ def test_a_row_tells_the_worst_coverage_and_the_gain_of_the_medians() -> None:
 def test_a_method_without_figures_still_has_a_row() -> None:
     base = Accuracy("room", "base", (fabricated(0, 60, 0.02),))
     lost = Accuracy("room", "lost", (fabricated(0, 60, 0.01), fabricated(1, 1, None)))
-    assert lost.row(base) == ("lost", "–", "–", "–", "–", "–", "1.7 %", "–", "–")
+    assert lost.row(base) == ("lost", "–", "–", "–", "–", "–", "1.7 %", "–", "–", "0.0")
     assert lost.to_dict(base)["ate_se3_m"] is None
     json.dumps(lost.to_dict(base), allow_nan=False)
 

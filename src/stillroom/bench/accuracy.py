@@ -6,10 +6,11 @@ from typing import Any
 
 from stillroom.bench.trial import Trial
 from stillroom.evaluation.report import percent
+from stillroom.evaluation.timing import processor
 from stillroom.evaluation.trajectory_errors import Spread, improvement_percent
 
-HEADER = ("method", "ATE median", "mean", "min", "max", "improvement", "tracked", "RPE m/s", "deg/s")
-"""Names of the columns of `Accuracy.row`; ATE in m."""
+HEADER = ("method", "ATE median", "mean", "min", "max", "improvement", "tracked", "RPE m/s", "deg/s", "ms a frame")
+"""Names of the columns of `Accuracy.row`; ATE in m, milliseconds of CPU."""
 NONE = "–"
 
 
@@ -53,6 +54,11 @@ class Accuracy:
         evaluation = self.trials[0].evaluation
         return None if evaluation is None else evaluation.as_given.still_camera_m
 
+    @property
+    def frame_cpu_ms(self) -> Spread:
+        """What a frame cost on average [ms of CPU]."""
+        return Spread.of([trial.frame_cpu_ms for trial in self.trials])
+
     def ate_cells(self) -> tuple[str, str, str]:
         """Return the ATE's median, least and largest for a table."""
         ate_m = self.ate_m
@@ -66,12 +72,13 @@ class Accuracy:
         return None if ours is None or theirs is None else improvement_percent(theirs.median, ours.median)
 
     def row(self, baseline: "Accuracy") -> tuple[str, ...]:
-        """Return the cells under `HEADER`: RPE and coverage are the median's and the worst run's."""
+        """Return the cells under `HEADER`: coverage is the worst run's, RPE and time the median's."""
         ate_m, rpe = self.ate_m, self.rpe
         gain = None if baseline is self else self.improvement_percent(baseline)
         spread = [NONE] * 4 if ate_m is None else [f"{v:.4f}" for v in (ate_m.median, ate_m.mean, ate_m.min, ate_m.max)]
         drift = [NONE] * 2 if rpe is None else [f"{rpe[0].median:.4f}", f"{rpe[1].median:.3f}"]
-        return (self.method, *spread, NONE if gain is None else f"{gain:+.1f} %", percent(self.coverage.min), *drift)
+        spread.append(NONE if gain is None else f"{gain:+.1f} %")
+        return (self.method, *spread, percent(self.coverage.min), *drift, f"{self.frame_cpu_ms.median:.1f}")
 
     def to_dict(self, baseline: "Accuracy") -> dict[str, Any]:
         """Return the figures for a JSON file."""
@@ -85,18 +92,21 @@ class Accuracy:
             "baseline": baseline.method,
             "coverage": asdict(self.coverage),
             "rpe_translation_m_s": None if rpe is None else asdict(rpe[0]),
+            "frame_cpu_ms": asdict(self.frame_cpu_ms),
             "rpe_rotation_deg_s": None if rpe is None else asdict(rpe[1]),
             "runs": [trial.to_dict() for trial in self.trials],
         }
 
 
-def sentences(table: Sequence[Accuracy]) -> list[str]:
-    """Return, for one sequence, notes on how to read the rows."""
+def sentences(table: Sequence[Accuracy], dense: bool = False) -> list[str]:
+    """Return, for one sequence, notes on how to read the rows; `dense`: whether dense maps were made."""
     still = next((row.still_camera_m for row in table if row.still_camera_m is not None), None)
     n = len(table[0].trials)
     lines = [
         f"ATE: RMSE [m] after SE(3) alignment, ground truth as given, over {n} run{'s' if n > 1 else ''} with seeds "
-        f"0 to {n - 1}; tracked: the worst run's share of {table[0].trials[0].n_given} frames; RPE over 1 s: median"
+        f"0 to {n - 1}; tracked: the worst run's share of {table[0].trials[0].n_given} frames; RPE over 1 s: median; "
+        f"ms a frame: CPU time, network and mapping included, {'with' if dense else 'without'} the dense map, median "
+        f"of the runs' means, one thread of: {processor()}"
     ]
     if still is None:
         return [*lines, "without ground truth, or without enough poses, there is nothing to measure against"]

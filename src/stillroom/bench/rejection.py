@@ -9,11 +9,13 @@ from stillroom.bench.trial import FrameAverages, all_keypoints
 from stillroom.config import SlamConfig
 from stillroom.dynamics.chain import KeepAllConfig
 from stillroom.dynamics.cluster_sieve import ClusterSieveConfig
-from stillroom.dynamics.paper_epipolar import PaperEpipolarConfig
+from stillroom.dynamics.paper_clusters import PaperClustersConfig
+from stillroom.dynamics.paper_epipolar import PRINTED, PaperEpipolarConfig
 from stillroom.dynamics.whole_boxes import WholeBoxesConfig
 from stillroom.evaluation.report import percent
 from stillroom.presets import oc_slam_paper
 from stillroom.semantics.depth_clusters import NoClustersConfig
+from stillroom.semantics.yolo_fastest import YoloFastestConfig
 
 WITHOUT_CLUSTERS = "the preset without clusters"
 HEADER = ("rejection", "ATE [m]", "min", "max", "tracked", "static kept", "of keypoints", "against boxes", "in use")
@@ -21,7 +23,7 @@ HEADER = ("rejection", "ATE [m]", "min", "max", "tracked", "static kept", "of ke
 
 
 NO_REJECTION, WHOLE_BOXES, PAIRS_ONLY, PRESET = "no rejection", "whole boxes", "OC-SLAM 2.2 alone", "the preset"
-AS_PRINTED = "OC-SLAM as printed"
+AS_PRINTED, EQUATION_2 = "OC-SLAM as printed", "… its Eq. 2 too"
 
 
 def ways(preset: SlamConfig) -> dict[str, SlamConfig]:
@@ -33,6 +35,7 @@ def ways(preset: SlamConfig) -> dict[str, SlamConfig]:
         WHOLE_BOXES: replace(boxes_only, dynamics=WholeBoxesConfig()),
         PAIRS_ONLY: replace(boxes_only, dynamics=PaperEpipolarConfig()),
         AS_PRINTED: as_printed(preset),
+        EQUATION_2: replace(as_printed(preset), dynamics=PaperClustersConfig(PaperEpipolarConfig(distance=PRINTED))),
     }
     if isinstance(preset.dynamics, ClusterSieveConfig):
         found[WITHOUT_CLUSTERS] = replace(boxes_only, dynamics=preset.dynamics.boxes)
@@ -40,9 +43,10 @@ def ways(preset: SlamConfig) -> dict[str, SlamConfig]:
 
 
 def as_printed(preset: SlamConfig) -> SlamConfig:
-    """Return a config whose rejection is OC-SLAM's to the letter, with boxes that are not carried."""
+    """Return a config whose rejection is OC-SLAM's to the letter; where it has YOLO-Fastest, no box is carried."""
     paper = oc_slam_paper.METHOD.config
-    return replace(preset, semantics=paper.semantics, clusters=paper.clusters, dynamics=paper.dynamics)
+    semantics = paper.semantics if isinstance(preset.semantics, YoloFastestConfig) else preset.semantics
+    return replace(preset, semantics=semantics, clusters=paper.clusters, dynamics=paper.dynamics)
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from stillroom.data.result import FrameSummary
 from stillroom.data.semantics import Semantics
 from stillroom.dense.no_dense_map import NoDenseMapConfig
 from stillroom.evaluation.report import Evaluation, percent
-from stillroom.evaluation.timing import StageClock
+from stillroom.evaluation.timing import FRAME, StageClock
 from stillroom.pipeline import SILENT, RunOptions, RunProgress, run
 from stillroom.pipeline.live import LiveFigures
 from stillroom.protocols import Dataset, RunObserver, Schedule, Segmenter
@@ -103,6 +103,11 @@ class Trial:
         found = None if self.evaluation is None else self.evaluation.for_rpe.rpe_1s
         return None if found is None else (found.translation_m.rmse, found.rotation_deg.rmse)
 
+    @property
+    def frame_cpu_ms(self) -> float:
+        """What a whole frame cost on average, network and mapping included, images read before [ms of CPU]."""
+        return next((stage.cpu_mean_ms for stage in self.clock.summary() if stage.stage == FRAME), 0.0)
+
     def line(self) -> str:
         """Return the run in one line."""
         tracked = f"{percent(self.coverage)} of {self.n_given} frames tracked"
@@ -115,6 +120,7 @@ class Trial:
             "n_given": self.n_given,
             "n_tracked": self.n_tracked,
             "coverage": self.coverage,
+            "frame_cpu_ms": self.frame_cpu_ms,
             "tracked_frames": None if self.tracked is None else asdict(self.tracked),
             "boxed_frames": None if self.boxed is None else asdict(self.boxed),
             "evaluation": None if self.evaluation is None else asdict(self.evaluation),

@@ -25,7 +25,7 @@ R = TypeVar("R")
 
 Sequences = Annotated[list[str], typer.Argument(metavar="SEQ", help="Sequences, as for run.")]
 Sequence1 = Annotated[str, typer.Argument(metavar="SEQ", help="The sequence, as for run.")]
-Methods = Annotated[str, typer.Option(metavar="A,B", help="Methods; the first is the baseline.")]
+Methods = Annotated[str, typer.Option(metavar="A,B", help="Methods, or all; the first is the baseline.")]
 Runs = Annotated[int, typer.Option(min=1, metavar="N", help="Runs of each, with seeds 0, 1, …")]
 Frames = Annotated[str | None, typer.Option(metavar="A:B", help="Use these frames only.")]
 Camera = Annotated[str | None, typer.Option(metavar="NAME|FILE", help="The calibration.")]
@@ -67,15 +67,23 @@ class Bench:
         return done
 
     def seeds_of(
-        self, dataset: Dataset, runs: int, withheld: tuple[FrameRange, ...] = ()
+        self, dataset: Dataset, runs: int, withheld: tuple[FrameRange, ...] = (), dense: bool = False
     ) -> Callable[[str, SlamConfig], Accuracy]:
-        """Return a function that runs a config on a sequence with each seed; see `attempt` for what is withheld."""
+        """Return a function that runs a config on a sequence with each seed.
+
+        Args:
+            dataset: The sequence.
+            runs: How many seeds.
+            withheld: See `attempt`.
+            dense: Whether dense maps are made, which changes no pose.
+        """
 
         def measure(name: str, config: SlamConfig) -> Accuracy:
             trials = []
             for seed in range(runs):
                 self.bar.label = f"{name}, seed {seed}"
-                trials.append(attempt(dataset, poses_only(config), seed, self.bar, withheld))
+                whole = config if dense else poses_only(config)
+                trials.append(attempt(dataset, whole, seed, self.bar, withheld))
                 say(f"{name} on {dataset.name}, {trials[-1].line()}")
             return Accuracy(dataset.name, name, tuple(trials))
 

@@ -22,7 +22,7 @@ from stillroom.cli.output import print_lines, say
 from stillroom.config import SlamConfig
 from stillroom.errors import ConfigError
 from stillroom.pipeline import Source
-from stillroom.presets.registry import configure
+from stillroom.presets.registry import all_methods, configure
 from stillroom.warmup import warm_up
 
 PRESETS = "orb-slam2,oc-slam"
@@ -76,18 +76,21 @@ def accuracy(
     methods: Methods = PRESETS,
     runs: Runs = 5,
     frames: Frames = None,
+    dense: Annotated[
+        bool, typer.Option("--dense", help="Make dense maps too; they cost time and change no pose.")
+    ] = False,
     camera: Camera = None,
     settings: Settings = None,
     out: Out = None,
 ) -> None:
-    """Run each method with several seeds: ATE, improvement over the first method, coverage, RPE."""
+    """Run each method with several seeds: ATE, improvement over the first method, coverage, RPE, time of a frame."""
     configs = _configs(methods, settings)
     bench = Bench("accuracy", out)
     for sequence in sequences:
         dataset = bench.open(Source(sequence, camera, frames=frames))
-        table = bench.each(configs, bench.seeds_of(dataset, runs))
+        table = bench.each(configs, bench.seeds_of(dataset, runs, dense=dense))
         bench.print_table(dataset.name, exactness.HEADER, [row.row(table[0]) for row in table])
-        print_lines(exactness.sentences(table) if table else [])
+        print_lines(exactness.sentences(table, dense) if table else [])
         bench.keep([row.to_dict(table[0]) for row in table])
     bench.finish()
 
@@ -203,4 +206,6 @@ def _configs(methods: str, settings: list[str] | None) -> dict[str, SlamConfig]:
     names = [name.strip() for name in methods.split(",") if name.strip()]
     if not names:
         raise ConfigError("--methods names none; write it like --methods orb-slam2,oc-slam")
+    if names == ["all"]:
+        names = list(all_methods())
     return {name: configure(name, None, settings or ()) for name in names}

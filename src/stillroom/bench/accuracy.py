@@ -9,8 +9,10 @@ from stillroom.evaluation.report import percent
 from stillroom.evaluation.timing import processor
 from stillroom.evaluation.trajectory_errors import Spread, improvement_percent
 
-HEADER = ("method", "ATE median", "mean", "min", "max", "improvement", "tracked", "RPE m/s", "deg/s", "ms a frame")
-"""Names of the columns of `Accuracy.row`; ATE in m, milliseconds of CPU."""
+HEADER = ("method", "ATE median", "mean", "min", "max", "improvement", "tracked", "RPE m/s", "deg/s")
+"""Names of the columns of `Accuracy.row`; ATE in m."""
+SMOOTHNESS_HEADER = ("method", "jitter [mm]", "faster than 1 s [mm]", "slower [mm]", "ms a frame")
+"""Names of the columns of `Accuracy.smoothness_row`; milliseconds are of CPU."""
 NONE = "–"
 
 
@@ -49,6 +51,17 @@ class Accuracy:
         return Spread.of([figure[0] for figure in known]), Spread.of([figure[1] for figure in known])
 
     @property
+    def smoothness_mm(self) -> tuple[Spread, Spread, Spread] | None:
+        """Jitter, and the RMS of the error faster and slower than one second [mm]; None where a run has none."""
+        found = [trial.smoothness for trial in self.trials]
+        known = [smooth for smooth in found if smooth is not None]
+        if len(known) < len(found):
+            return None
+        parts = [(each.jitter_m, each.fast_m, each.slow_m) for each in known]
+        jitter, fast, slow = (Spread.of([1e3 * part.rmse for part in column]) for column in zip(*parts, strict=True))
+        return jitter, fast, slow
+
+    @property
     def still_camera_m(self) -> float | None:
         """ATE of the static-pose baseline [m], over the poses of the first run: a camera that never moved."""
         evaluation = self.trials[0].evaluation
@@ -72,13 +85,18 @@ class Accuracy:
         return None if ours is None or theirs is None else improvement_percent(theirs.median, ours.median)
 
     def row(self, baseline: "Accuracy") -> tuple[str, ...]:
-        """Return the cells under `HEADER`: coverage is the worst run's, RPE and time the median's."""
+        """Return the cells under `HEADER`: coverage is the worst run's, RPE the median."""
         ate_m, rpe = self.ate_m, self.rpe
         gain = None if baseline is self else self.improvement_percent(baseline)
         spread = [NONE] * 4 if ate_m is None else [f"{v:.4f}" for v in (ate_m.median, ate_m.mean, ate_m.min, ate_m.max)]
         drift = [NONE] * 2 if rpe is None else [f"{rpe[0].median:.4f}", f"{rpe[1].median:.3f}"]
         spread.append(NONE if gain is None else f"{gain:+.1f} %")
-        return (self.method, *spread, percent(self.coverage.min), *drift, f"{self.frame_cpu_ms.median:.1f}")
+        return (self.method, *spread, percent(self.coverage.min), *drift)
+
+    def smoothness_row(self) -> tuple[str, ...]:
+        """Return the cells under `SMOOTHNESS_HEADER`: medians."""
+        smooth = [NONE] * 3 if self.smoothness_mm is None else [f"{each.median:.1f}" for each in self.smoothness_mm]
+        return (self.method, *smooth, f"{self.frame_cpu_ms.median:.1f}")
 
     def to_dict(self, baseline: "Accuracy") -> dict[str, Any]:
         """Return the figures for a JSON file."""
@@ -92,6 +110,7 @@ class Accuracy:
             "baseline": baseline.method,
             "coverage": asdict(self.coverage),
             "rpe_translation_m_s": None if rpe is None else asdict(rpe[0]),
+            "jitter_fast_slow_mm": self.smoothness_mm and [asdict(each) for each in self.smoothness_mm],
             "frame_cpu_ms": asdict(self.frame_cpu_ms),
             "rpe_rotation_deg_s": None if rpe is None else asdict(rpe[1]),
             "runs": [trial.to_dict() for trial in self.trials],
@@ -105,6 +124,8 @@ def sentences(table: Sequence[Accuracy], dense: bool = False) -> list[str]:
     lines = [
         f"ATE: RMSE [m] after SE(3) alignment, ground truth as given, over {n} run{'s' if n > 1 else ''} with seeds "
         f"0 to {n - 1}; tracked: the worst run's share of {table[0].trials[0].n_given} frames; RPE over 1 s: median; "
+        "jitter: RMS of the second difference of the position error from frame to frame, fast and slow: of the error "
+        "faster and slower than one second, medians; "
         f"ms a frame: CPU time, network and mapping included, {'with' if dense else 'without'} the dense map, median "
         f"of the runs' means, one thread of: {processor()}"
     ]

@@ -12,6 +12,7 @@ from stillroom.data.result import FrameSummary
 from stillroom.data.semantics import Semantics
 from stillroom.dense.no_dense_map import NoDenseMapConfig
 from stillroom.evaluation.report import Evaluation, percent
+from stillroom.evaluation.smoothness import Smoothness
 from stillroom.evaluation.timing import FRAME, StageClock
 from stillroom.pipeline import SILENT, RunOptions, RunProgress, run
 from stillroom.pipeline.live import LiveFigures
@@ -102,6 +103,11 @@ class Trial:
         """RPE RMSE over 1 s: translation [m/s] and rotation [deg/s]."""
         found = None if self.evaluation is None else self.evaluation.for_rpe.rpe_1s
         return None if found is None else (found.translation_m.rmse, found.rotation_deg.rmse)
+
+    @property
+    def smoothness(self) -> Smoothness | None:
+        """Jitter, and the error faster and slower than one second."""
+        return None if self.evaluation is None else self.evaluation.for_rpe.smoothness
 
     @property
     def frame_cpu_ms(self) -> float:

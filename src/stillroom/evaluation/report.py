@@ -7,6 +7,7 @@ from typing import Any
 
 from stillroom.data.trajectory import Trajectory
 from stillroom.errors import TrajectoryError
+from stillroom.evaluation.smoothness import Smoothness, smoothness
 from stillroom.evaluation.time_matching import TimeMatching, estimate_offset_s
 from stillroom.evaluation.trajectory_errors import (
     RelativeError,
@@ -38,6 +39,7 @@ class Comparison:
         rpe_1s: Drift over 1 s [m/s, deg/s], TUM's rule; None for a trajectory too short for it.
         rpe_30_frames: Drift over 30 poses [m, deg], evo's rule; None for a trajectory too short for it.
         rpe_refused: Why there are no relative errors, where it is not for want of poses; empty otherwise.
+        smoothness: Jitter, and the error faster and slower than one second; None where too few poses follow each other.
     """
 
     groundtruth: str
@@ -49,6 +51,7 @@ class Comparison:
     rpe_1s: RelativeError | None
     rpe_30_frames: RelativeError | None
     rpe_refused: str = ""
+    smoothness: Smoothness | None = None
 
 
 @dataclass(frozen=True)
@@ -157,6 +160,7 @@ def compare(
     """
     matching = matching or TimeMatching()
     max_gap_s = matching.max_gap_s
+    given = groundtruth
     estimate, groundtruth = matching.match(estimate, groundtruth)
     absolute = ate(estimate, groundtruth, max_gap_s)
     over_1s, refused = _measured(lambda: rpe(estimate, groundtruth, max_gap_s=max_gap_s))
@@ -171,7 +175,15 @@ def compare(
         rpe_1s=over_1s,
         rpe_30_frames=over_30_frames,
         rpe_refused=refused,
+        smoothness=_smoothness(estimate, given),
     )
+
+
+def _smoothness(estimate: Trajectory, groundtruth: Trajectory) -> Smoothness | None:
+    try:
+        return smoothness(estimate, groundtruth)
+    except TrajectoryError:  # the trajectory is too short, or too few of its poses have truth around them
+        return None
 
 
 def _measured(measure: Callable[[], RelativeError]) -> tuple[RelativeError | None, str]:
@@ -190,7 +202,8 @@ def _measured(measure: Callable[[], RelativeError]) -> tuple[RelativeError | Non
 def rows(evaluation: Evaluation) -> list[tuple[str, ...]]:
     """Return one row of text for each kind of error, its cells as in `HEADER`; the unit stands in the first."""
     comparisons = (evaluation.as_given, evaluation.at_camera)
-    return [row for comparison in comparisons if comparison is not None for row in _rows(comparison)]
+    table = [row for comparison in comparisons if comparison is not None for row in _rows(comparison)]
+    return [*table, *_smoothness_rows(evaluation.for_rpe.groundtruth, evaluation.for_rpe.smoothness)]
 
 
 def lines(evaluation: Evaluation) -> list[str]:
@@ -245,6 +258,17 @@ def _rows(comparison: Comparison) -> list[tuple[str, ...]]:
         _row(f"ATE [m], Sim(3), scale {scale:.4f}", truth, comparison.ate_sim3_m, 4),
         *_relative_rows("over 1 s", ("m/s", "deg/s"), truth, comparison.rpe_1s),
         *_relative_rows("over 30 frames", ("m", "deg"), truth, comparison.rpe_30_frames),
+    ]
+
+
+def _smoothness_rows(truth: str, smooth: Smoothness | None) -> list[tuple[str, ...]]:
+    if smooth is None:
+        return []
+    return [
+        _row("error [m] slower than 1 s", truth, smooth.slow_m, 4),
+        _row("error [m] faster than 1 s", truth, smooth.fast_m, 4),
+        _row("jitter [m] from frame to frame", truth, smooth.jitter_m, 4),
+        _row("jitter [deg] from frame to frame", truth, smooth.jitter_deg, 3),
     ]
 
 
@@ -323,7 +347,12 @@ def _comparison(data: dict[str, Any]) -> Comparison:
         rpe_1s=_relative(data["rpe_1s"]),
         rpe_30_frames=_relative(data["rpe_30_frames"]),
         rpe_refused=str(data.get("rpe_refused", "")),
+        smoothness=_read_smoothness(data.get("smoothness")),  # earlier versions measured none
     )
+
+
+def _read_smoothness(data: dict[str, Any] | None) -> Smoothness | None:
+    return None if data is None else Smoothness(**{name: _statistics(value) for name, value in data.items()})
 
 
 def _relative(data: dict[str, Any] | None) -> RelativeError | None:

@@ -90,6 +90,7 @@ def accuracy(
         dataset = bench.open(Source(sequence, camera, frames=frames))
         table = bench.each(configs, bench.seeds_of(dataset, runs, dense=dense))
         bench.print_table(dataset.name, exactness.HEADER, [row.row(table[0]) for row in table])
+        bench.print_table("", exactness.SMOOTHNESS_HEADER, [row.smoothness_row() for row in table])
         print_lines(exactness.sentences(table, dense) if table else [])
         bench.keep([row.to_dict(table[0]) for row in table])
     bench.finish()

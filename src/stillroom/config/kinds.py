@@ -15,6 +15,7 @@ from typing import Any, Protocol
 
 from stillroom.dense.dense_mapper import DenseMapperConfig
 from stillroom.dense.no_dense_map import NoDenseMapConfig
+from stillroom.dense.octomap import OctoMapConfig
 from stillroom.dynamics.chain import Chain, KeepAllConfig, KeepAllKeypointsConfig
 from stillroom.dynamics.cluster_sieve import ClusterSieveConfig
 from stillroom.dynamics.epipolar_sieve import EpipolarConfig
@@ -196,7 +197,7 @@ KEYPOINTS = Kinds("keypoints", {"keep-all": KeepAllKeypointsConfig, "masked": Ma
 
 LOW_COST = Kinds("low_cost", {"nothing": NoLowCostConfig, "projection": LowCostConfig})
 
-DENSE = Kinds("dense", {"nothing": NoDenseMapConfig, "voxels": DenseMapperConfig})
+DENSE = Kinds("dense", {"nothing": NoDenseMapConfig, "voxels": DenseMapperConfig, "octomap": OctoMapConfig})
 
 
 @dataclass(frozen=True)

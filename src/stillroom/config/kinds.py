@@ -30,6 +30,7 @@ from stillroom.plugins import PluginGroup
 from stillroom.protocols import Clusterer, DenseMapping, KeypointSieve, MatchSieve, Parts, QuickTracking, Segmenter
 from stillroom.semantics.depth_clusters import DepthClustersConfig, NoClustersConfig
 from stillroom.semantics.mask_files import MaskFilesConfig
+from stillroom.semantics.masks.onnx_instances import OnnxInstancesConfig
 from stillroom.semantics.masks.onnx_masks import OnnxMasksConfig
 from stillroom.semantics.masks.pspnet import PspNetConfig
 from stillroom.semantics.no_segmenter import NothingConfig
@@ -184,6 +185,7 @@ SEMANTICS = Kinds(
         "yolo-fastest": YoloFastestConfig,
         "onnx-boxes": OnnxBoxesConfig,
         "onnx-masks": OnnxMasksConfig,
+        "onnx-instances": OnnxInstancesConfig,
         "pspnet": PspNetConfig,
         "mask-files": MaskFilesConfig,
         "truth": TrueSemanticsConfig,

@@ -140,7 +140,10 @@ class OctoMap:
         """Do nothing: the papers' maps are made of keyframes alone."""
 
     def refresh(self) -> None:
-        """Make the map again if poses of keyframes have changed, of culled ones too; a miss cannot be taken back."""
+        """Make the map again if poses of keyframes have changed, of culled ones too; a miss cannot be taken back.
+
+        Keyframes whose clouds were lost, as there was no room in the temporary file, are then left out.
+        """
         if self._is_stale or self._views.moved(self.world, self.config.correction_m, with_culled=True):
             self._start_empty()
             for view in sorted(self._view_of.values()):

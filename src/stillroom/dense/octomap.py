@@ -7,8 +7,8 @@ that what has changed is soon believed. Values are those of octomap_server, and 
 size; the map is made again from the keyframes when their poses are corrected, which octomap_server cannot; and there is
 no limit of height above the floor, as DS-SLAM's launch file sets, for the world's axes are those of the first camera.
 DS-SLAM leaves out people whether they move or not, and this map what it is told to exclude, the dynamic pixels. L.
-Zhang et al. rasterise lines faster than OctoMap does, with the same probabilities; here there is one way to walk along
-rays.
+Zhang et al. rasterise lines faster than OctoMap does, and their probabilities are not known; here there is one way to
+walk along rays.
 """
 
 from dataclasses import dataclass, replace

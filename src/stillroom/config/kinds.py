@@ -15,6 +15,7 @@ from typing import Any, Protocol
 
 from stillroom.dense.dense_mapper import DenseMapperConfig
 from stillroom.dense.no_dense_map import NoDenseMapConfig
+from stillroom.dense.octomap import OctoMapConfig
 from stillroom.dynamics.chain import Chain, KeepAllConfig, KeepAllKeypointsConfig
 from stillroom.dynamics.cluster_sieve import ClusterSieveConfig
 from stillroom.dynamics.epipolar_sieve import EpipolarConfig
@@ -30,6 +31,7 @@ from stillroom.plugins import PluginGroup
 from stillroom.protocols import Clusterer, DenseMapping, KeypointSieve, MatchSieve, Parts, QuickTracking, Segmenter
 from stillroom.semantics.depth_clusters import DepthClustersConfig, NoClustersConfig
 from stillroom.semantics.mask_files import MaskFilesConfig
+from stillroom.semantics.masks.onnx_instances import OnnxInstancesConfig
 from stillroom.semantics.masks.onnx_masks import OnnxMasksConfig
 from stillroom.semantics.masks.pspnet import PspNetConfig
 from stillroom.semantics.no_segmenter import NothingConfig
@@ -185,6 +187,7 @@ SEMANTICS = Kinds(
         "yolo-fastest": YoloFastestConfig,
         "onnx-boxes": OnnxBoxesConfig,
         "onnx-masks": OnnxMasksConfig,
+        "onnx-instances": OnnxInstancesConfig,
         "pspnet": PspNetConfig,
         "mask-files": MaskFilesConfig,
         "truth": TrueSemanticsConfig,
@@ -198,7 +201,7 @@ KEYPOINTS = Kinds("keypoints", {"keep-all": KeepAllKeypointsConfig, "masked": Ma
 
 LOW_COST = Kinds("low_cost", {"nothing": NoLowCostConfig, "projection": LowCostConfig})
 
-DENSE = Kinds("dense", {"nothing": NoDenseMapConfig, "voxels": DenseMapperConfig})
+DENSE = Kinds("dense", {"nothing": NoDenseMapConfig, "voxels": DenseMapperConfig, "octomap": OctoMapConfig})
 
 
 @dataclass(frozen=True)

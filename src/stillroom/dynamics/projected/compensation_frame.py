@@ -15,6 +15,7 @@ from stillroom.geometry.arrays import F32, F64, I32, U8, Bool
 from stillroom.geometry.camera import Camera, Lens
 from stillroom.geometry.distortion import distorted
 from stillroom.geometry.homography import HomographyFit
+from stillroom.geometry.sampled_homography import of_four_pairs
 
 
 @dataclass(frozen=True)
@@ -89,7 +90,7 @@ def compensate(
     """
     previous, present = matched(earlier.frame, frame, ~earlier.is_masked, ~is_masked, config)
     first_px, second_px = earlier.frame.keypoints.px[previous], frame.keypoints.px[present]
-    fit = homography.estimate(first_px, second_px, config.inlier_px, seed, magsac=False)
+    fit = of_four_pairs(first_px, second_px, config.inlier_px, seed)
     if fit is None or np.count_nonzero(fit.is_inlier) < config.min_inliers:
         return None
     fit = homography.refine(fit, first_px, second_px, symmetric=False)

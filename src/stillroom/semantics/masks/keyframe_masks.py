@@ -7,6 +7,8 @@ they were tracked, and on a live schedule later images have been called by then.
 from collections import deque
 
 from stillroom.data.image import RgbdImage
+from stillroom.protocols import Schedule
+from stillroom.schedule import InOrder, Worker
 from stillroom.semantics.masks.carried_masks import KnownImage, MaskCarryConfig, See, carried
 from stillroom.semantics.masks.mask_segments import HalfImage, MaskSegments
 from stillroom.semantics.masks.refine import RefineConfig, refined
@@ -18,15 +20,19 @@ KEPT = 32
 class AskedMasks:
     """Runs a network on the first image and on those that it is told to see; propagates the last result."""
 
-    def __init__(self, see: See, carry: MaskCarryConfig, refine: RefineConfig) -> None:
+    def __init__(
+        self, see: See, carry: MaskCarryConfig, refine: RefineConfig, schedule: Schedule | None = None
+    ) -> None:
         """Start without images.
 
         Args:
             see: The network: what is potentially dynamic in an image.
             carry: How masks are propagated.
             refine: How their borders are refined, there and at each step to the present.
+            schedule: Runs the network; at once by default.
         """
         self._see, self._carry, self._refine = see, carry, refine
+        self._schedule = schedule or InOrder()
         self._recent: deque[HalfImage] = deque(maxlen=KEPT)
         self._known: KnownImage | None = None
         self._seen: tuple[RgbdImage, KnownImage] | None = None
@@ -63,7 +69,8 @@ class AskedMasks:
 
     def _found(self, image: RgbdImage, view: HalfImage) -> KnownImage:
         """Return what the network finds in an image, with refined borders; kept for a second question."""
-        found = KnownImage(refined(self._see(image, view), view.depth_m, self._refine), 0)
+        segments = self._schedule.submit(Worker.NETWORK, self._see, image, view).result()
+        found = KnownImage(refined(segments, view.depth_m, self._refine), 0)
         self._seen = image, found
         return found
 

@@ -94,18 +94,21 @@ class OnnxMasksConfig:
 def segmenter_of(network: SegmentationNetwork, config: OnnxMasksConfig, parts: Parts | None) -> Segmenter:
     """Return a network's segmenter: of all images, or a `KeyframeSegmenter`."""
     reading = Reading(network, config)
-    if config.sees == KEYFRAMES:
-        return OnnxKeyframeMasks(reading)
-    return OnnxMasks(reading, None if parts is None else parts.schedule)
+    schedule = None if parts is None else parts.schedule
+    return OnnxKeyframeMasks(reading, schedule) if config.sees == KEYFRAMES else OnnxMasks(reading, schedule)
 
 
 class Reading:
-    """What a network finds in one image: its segments, and what they mean."""
+    """What a network finds in one image: its segments, and what they mean.
+
+    Attributes:
+        config, network: What it was made of.
+    """
 
     def __init__(self, network: SegmentationNetwork, config: OnnxMasksConfig) -> None:
         """Take the network, and which of its classes are movable."""
         self.config = config
-        self._network = network
+        self.network = network
 
     def segments(self, image: RgbdImage, view: HalfImage) -> MaskSegments:
         """Return the network's segments of one image, at half size.
@@ -114,7 +117,7 @@ class Reading:
             WeightsError: The network's output does not match its classes.
         """
         rows, columns = view.shape
-        every, least = self._network.probabilities(image.rgb, columns, rows), self.config.probability
+        every, least = self.network.probabilities(image.rgb, columns, rows), self.config.probability
         n_movable = len(self.config.movable)
         likely, others = every[:n_movable], every[n_movable:]
         together = np.minimum(likely.sum(axis=0), 1.0)
@@ -138,7 +141,7 @@ class OnnxMasks:
 
     def __init__(self, reading: Reading, schedule: Schedule | None = None) -> None:
         """Start without images."""
-        self._reading, config = reading, reading.config
+        self.reading, config = reading, reading.config
         self._masks = LateMasks(
             reading.segments, config.every, config.latency_frames, config.carry, config.refine, schedule
         )
@@ -149,16 +152,16 @@ class OnnxMasks:
         Raises:
             WeightsError: The network's output does not match its classes.
         """
-        return self._reading.semantics(self._masks(image), image)
+        return self.reading.semantics(self._masks(image), image)
 
 
 class OnnxKeyframeMasks:
     """A network's masks of keyframes, refined by depth, and propagated to the images between: a `KeyframeSegmenter`."""
 
-    def __init__(self, reading: Reading) -> None:
+    def __init__(self, reading: Reading, schedule: Schedule | None = None) -> None:
         """Start without images."""
-        self._reading, config = reading, reading.config
-        self._masks = AskedMasks(reading.segments, config.carry, config.refine)
+        self.reading, config = reading, reading.config
+        self._masks = AskedMasks(reading.segments, config.carry, config.refine, schedule)
 
     def __call__(self, image: RgbdImage) -> Semantics:
         """Return the masks of the last keyframe, propagated to the image; of the first image its own.
@@ -166,7 +169,7 @@ class OnnxKeyframeMasks:
         Raises:
             WeightsError: The network's output does not match its classes.
         """
-        return self._reading.semantics(self._masks(image), image)
+        return self.reading.semantics(self._masks(image), image)
 
     def see(self, image: RgbdImage) -> Semantics:
         """Return what the network finds in an image that becomes a keyframe.
@@ -174,7 +177,7 @@ class OnnxKeyframeMasks:
         Raises:
             WeightsError: The network's output does not match its classes.
         """
-        return self._reading.semantics(self._masks.see(image), image)
+        return self.reading.semantics(self._masks.see(image), image)
 
 
 def _best(likely: F32) -> tuple[U8, F32]:

@@ -24,6 +24,8 @@ IGNORED = {
     "dynaslam-g": {"dynamics.min_matches"},
 }
 """Keys that set nothing any more."""
+LATER = {"pspnet-slam-paper"}
+"""Presets that that version did not have."""
 CHANGED = {
     "dense.carving.every": 4,
     "semantics.every": 1,
@@ -52,7 +54,8 @@ def ignored(caplog: pytest.LogCaptureFixture) -> list[str]:
 
 
 def test_there_is_a_file_of_each_method() -> None:
-    assert {path.stem for path in OLD.glob("*.toml")} - {"kinds"} == set(IGNORED) == {own.name for own in OWN}
+    files = {path.stem for path in OLD.glob("*.toml")} - {"kinds"}
+    assert files == set(IGNORED) == {own.name for own in OWN} - LATER
 
 
 @pytest.mark.parametrize("name", IGNORED)

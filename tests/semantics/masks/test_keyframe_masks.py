@@ -6,11 +6,14 @@ import numpy as np
 import pytest
 from red_network import red_config, reddened, save_red_network
 
+from stillroom.bench.trial import noting_of
 from stillroom.data.image import RgbdImage
 from stillroom.datasets.open import open_dataset
+from stillroom.pipeline import RunOptions, run
 from stillroom.presets.registry import configure
 from stillroom.protocols import KeyframeSegmenter
 from stillroom.schedule import InOrder, LiveSchedule
+from stillroom.semantics.detector import withhold
 from stillroom.semantics.masks.onnx_masks import OnnxKeyframeMasks, OnnxMasks, Reading
 from stillroom.semantics.masks.pspnet import PspNetConfig, PspNetwork
 from stillroom.system import build
@@ -149,3 +152,27 @@ def test_only_keyframes_reach_the_shipped_network(live: bool, monkeypatch: pytes
     assert [next(image.index for image in images if image.rgb is rgb) for rgb in saw] == keyframes
     assert keyframes[0] == images[0].index
     assert 2 <= len(keyframes) < FRAMES
+
+
+def test_what_wraps_a_segmenter_leaves_it_one_of_keyframes(
+    model: Path, images: list[RgbdImage], runs: list[int]
+) -> None:
+    """Runs and benches wrap the segmenter; a network that is not told of keyframes would see the first image alone."""
+    for wrap in (lambda one: withhold(one, [(images[2].index, images[3].index)]), noting_of):
+        runs.clear()
+        wrapped, plain = wrap(red_config(model, sees="keyframes").build()), red_config(model, sees="keyframes").build()
+        assert isinstance(wrapped, KeyframeSegmenter)
+        assert not isinstance(wrap(red_config(model).build()), KeyframeSegmenter)
+        for image in images[:2]:
+            np.testing.assert_array_equal(wrapped(image).mask, plain(image).mask)
+        np.testing.assert_array_equal(wrapped.see(images[1]).mask, plain.see(images[1]).mask)
+        assert runs == [images[0].index] * 2 + [images[1].index] * 2
+        wrapped(images[2])
+        found = wrapped.see(images[2])
+        assert found.has_any == (wrap is noting_of)
+
+
+def test_a_run_of_the_preset_shows_its_network_the_keyframes(runs: list[int]) -> None:
+    outcome = run(open_dataset("synthetic:walking,frames=12"), configure("pspnet-slam-paper"), RunOptions(root=None))
+    assert runs == [result.index for result in outcome.system.results if result.is_keyframe]
+    assert len(runs) >= 2

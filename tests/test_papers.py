@@ -10,7 +10,9 @@ PAGE = ROOT / "docs" / "papers.md"
 PACKAGE = ROOT / "src" / "stillroom"
 VERDICTS = {"as written", "open", "differs", "misprint", "not run"}
 SECTION = re.compile(r"^(abstract|[IVX]+|\d)", re.IGNORECASE)
-ROW = re.compile(r"^\| (?P<section>[^|]+) \| (?P<says>[^|]+) \| (?P<where>[^|]+) \| (?P<verdict>[^|]+) \|(?P<rest>[^|]*)\|$")
+ROW = re.compile(
+    r"^\| (?P<section>[^|]+) \| (?P<says>[^|]+) \| (?P<where>[^|]+) \| (?P<verdict>[^|]+) \|(?P<rest>[^|]*)\|$"
+)
 
 
 def statements() -> list[re.Match[str]]:
@@ -36,7 +38,7 @@ def test_both_papers_are_there() -> None:
 
 @pytest.mark.parametrize("row", STATEMENTS, ids=lambda row: f"{row['section']}: {row['says'][:40]}")
 def test_a_statement_names_a_section_a_file_and_a_verdict(row: re.Match[str]) -> None:
-    assert SECTION.match(row["section"])
+    assert SECTION.match(row["section"].strip())
     files = re.findall(r"`([^`]+\.py)`", row["where"])
     assert files, "no file"
     for file in files:

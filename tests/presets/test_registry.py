@@ -18,6 +18,7 @@ from stillroom.dynamics.homography.homography_sieve import CompensatedHomography
 from stillroom.dynamics.masked_keypoints import MaskedKeypointsConfig
 from stillroom.dynamics.multiview.multiview_sieve import MultiViewConfig
 from stillroom.dynamics.paper_epipolar import PaperEpipolarConfig
+from stillroom.dynamics.projected.paper_ants import PaperAntsConfig
 from stillroom.dynamics.segment_sieve import MovedSegmentsConfig
 from stillroom.errors import ConfigError
 from stillroom.presets import registry
@@ -90,6 +91,32 @@ def test_pspnet_slam_is_masks_a_homography_and_segments_that_move() -> None:
     assert rest_of(config, *MASKED, "clusters") == SlamConfig()
 
 
+def test_pspnet_slam_paper_is_what_is_printed() -> None:
+    config = method("pspnet-slam-paper").config
+    assert classes(config, "semantics", "keypoints", "low_cost", "dynamics", "clusters", "dense") == [
+        PspNetConfig,
+        MaskedKeypointsConfig,
+        LowCostConfig,
+        PaperAntsConfig,
+        NoClustersConfig,
+        NoDenseMapConfig,
+    ]
+    semantics = config.semantics
+    assert isinstance(semantics, PspNetConfig)
+    assert (semantics.input, semantics.sees, semantics.model) == ("640x480", "keyframes", None)
+    animals = {"bird", "cat", "cow", "dog", "horse", "sheep"}
+    vehicles = {"aeroplane", "bicycle", "boat", "bus", "car", "motorbike", "train"}
+    assert set(semantics.movable) == {"person"} | animals | vehicles
+    assert len(semantics.movable) == 14
+    assert config.dynamics == PaperAntsConfig()
+    assert config.tracking == SlamConfig().tracking, "ORB in every frame"
+    assert (config.mapping.max_final_keyframes, config.mapping.max_final_keyframes_looped) == (0, 0)
+    assert not config.joining.enabled
+    assert config.loops == SlamConfig().loops
+    own = ("semantics", "keypoints", "low_cost", "dynamics", "mapping", "joining")
+    assert rest_of(config, *own) == SlamConfig()
+
+
 def test_dynaslam_is_masks_and_multi_view_geometry_and_each_alone() -> None:
     both, network, geometry = (method(name).config for name in ("dynaslam", "dynaslam-n", "dynaslam-g"))
     assert classes(both, "semantics", "dynamics", "low_cost") == [PspNetConfig, MultiViewConfig, LowCostConfig]
@@ -104,6 +131,21 @@ def test_dynaslam_is_masks_and_multi_view_geometry_and_each_alone() -> None:
     for config in (both, network, geometry):
         assert config.tracking == BY_FLOW
         assert rest_of(config, *MASKED) == SlamConfig()
+
+
+@pytest.mark.parametrize("kind", ["multiview", "multiview-paper", "multiview-code"])
+def test_the_ants_can_be_chosen_wherever_the_multi_view_test_is_used(kind: str) -> None:
+    chosen = [f"dynamics.kind={kind}", "dynamics.search=reverse-ants"]
+    config, plain = configure("dynaslam", None, chosen), configure("dynaslam", None, chosen[:1])
+    assert isinstance(plain.dynamics, MultiViewConfig)
+    assert config.dynamics == replace(plain.dynamics, search="reverse-ants")
+    with pytest.raises(ConfigError, match="must be one of all, reverse-ants"):
+        configure("dynaslam", None, [chosen[0], "dynamics.search=some"])
+
+
+def test_the_summaries_say_who_runs_the_colony() -> None:
+    assert "serpentine" in method("pspnet-slam").summary
+    assert "ants' path" in method("pspnet-slam-paper").summary
 
 
 @pytest.mark.parametrize("kind", ["multiview-paper", "multiview-code"])

@@ -24,6 +24,7 @@ from stillroom.dynamics.masked_keypoints import MaskedKeypointsConfig
 from stillroom.dynamics.multiview.multiview_sieve import CodeMultiViewConfig, MultiViewConfig, PaperMultiViewConfig
 from stillroom.dynamics.paper_clusters import PaperClustersConfig
 from stillroom.dynamics.paper_epipolar import PaperEpipolarConfig
+from stillroom.dynamics.projected.paper_ants import PaperAntsConfig
 from stillroom.dynamics.segment_sieve import MovedSegmentsConfig
 from stillroom.dynamics.whole_boxes import WholeBoxesConfig
 from stillroom.errors import ConfigError
@@ -54,6 +55,7 @@ SINGLE_SIEVES: Mapping[str, type[Any]] = {
     "multiview-paper": PaperMultiViewConfig,
     "multiview-code": CodeMultiViewConfig,
     "compensated-homography": CompensatedHomographyConfig,
+    "paper-ants": PaperAntsConfig,
     "moved-segments": MovedSegmentsConfig,
 }
 

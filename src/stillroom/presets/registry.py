@@ -15,7 +15,16 @@ from stillroom.bounds import check
 from stillroom.config import SlamConfig, read_toml, updated, with_overrides
 from stillroom.errors import ConfigError
 from stillroom.plugins import PluginGroup
-from stillroom.presets import dynaslam, dynaslam_g, dynaslam_n, oc_slam, oc_slam_paper, orb_slam2, pspnet_slam
+from stillroom.presets import (
+    dynaslam,
+    dynaslam_g,
+    dynaslam_n,
+    oc_slam,
+    oc_slam_paper,
+    orb_slam2,
+    pspnet_slam,
+    pspnet_slam_paper,
+)
 from stillroom.presets.method import Method
 
 __all__ = ["DEFAULT", "OWN", "Method", "all_methods", "configure", "method"]
@@ -28,6 +37,7 @@ OWN = (
     oc_slam.METHOD,
     oc_slam_paper.METHOD,
     pspnet_slam.METHOD,
+    pspnet_slam_paper.METHOD,
     dynaslam.METHOD,
     dynaslam_n.METHOD,
     dynaslam_g.METHOD,

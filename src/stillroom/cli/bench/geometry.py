@@ -42,8 +42,8 @@ def geometry(
 ) -> None:
     """Test every point as DynaSLAM does, and along the ants' path as PSPNet-SLAM does: PSPNet-SLAM's Table 2.
 
-    The same images, poses and points for both; once with PSPNet-SLAM's test of a point, once with DynaSLAM's, with and
-    without growing regions from what was found.
+    The same images, poses and points for both; with the test of a point that we made of PSPNet-SLAM's, with DynaSLAM's,
+    and with PSPNet-SLAM's as printed; with and without growing regions from what was found.
     """
     config = configure(method, None, settings or ())
     trial = GeometryTrialConfig(network=network, homography=combining.homography_of(config), picture_of=picture_of)

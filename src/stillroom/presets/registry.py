@@ -15,7 +15,18 @@ from stillroom.bounds import check
 from stillroom.config import SlamConfig, read_toml, updated, with_overrides
 from stillroom.errors import ConfigError
 from stillroom.plugins import PluginGroup
-from stillroom.presets import dynaslam, dynaslam_g, dynaslam_n, oc_slam, orb_slam2, pspnet_slam
+from stillroom.presets import (
+    detect_slam,
+    ds_slam,
+    dynaslam,
+    dynaslam_g,
+    dynaslam_n,
+    oc_slam,
+    orb_slam2,
+    pspnet_slam,
+    sof_slam,
+    zhang_slam,
+)
 from stillroom.presets.method import Method
 
 __all__ = ["DEFAULT", "OWN", "Method", "all_methods", "configure", "method"]
@@ -30,6 +41,10 @@ OWN = (
     dynaslam.METHOD,
     dynaslam_n.METHOD,
     dynaslam_g.METHOD,
+    ds_slam.METHOD,
+    detect_slam.METHOD,
+    sof_slam.METHOD,
+    zhang_slam.METHOD,
 )
 DEFAULT = oc_slam.METHOD.name
 

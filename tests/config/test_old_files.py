@@ -52,7 +52,8 @@ def ignored(caplog: pytest.LogCaptureFixture) -> list[str]:
 
 
 def test_there_is_a_file_of_each_method() -> None:
-    assert {path.stem for path in OLD.glob("*.toml")} - {"kinds"} == set(IGNORED) == {own.name for own in OWN}
+    assert {path.stem for path in OLD.glob("*.toml")} - {"kinds"} == set(IGNORED)
+    assert set(IGNORED) < {own.name for own in OWN}, "presets that came later have no files of then"
 
 
 @pytest.mark.parametrize("name", IGNORED)

@@ -7,7 +7,7 @@ import numpy as np
 from stillroom.bounds import bounded, check
 from stillroom.data.frame import Frame, Keypoints
 from stillroom.data.image import RgbdImage
-from stillroom.data.motion import Motion
+from stillroom.data.motion import Motion, Stage
 from stillroom.data.question import Question
 from stillroom.data.semantics import Semantics, filled
 from stillroom.dynamics.flow_pairs import followed_back
@@ -28,8 +28,8 @@ class MovingObjectsConfig:
     foreground. One of them says that the object moves when it is off the epipolar line that the background draws, from
     the last image to the present one, or when it is not where the map has the point that it is matched with. An object
     moves when a share of its points says so, and when it has too few points to say. Its points are then dynamic, and
-    what lies behind it in its box is when it is off its line itself, or has no match. All of its box is kept out of the
-    dense map.
+    what lies behind it in its box is unless it says to be static itself. Where that leaves too few matches, the points
+    of the object are judged one by one as well. All of its box is kept out of the dense map.
 
     Attributes:
         line_px: A keypoint further from its epipolar line says that its object moves.
@@ -44,7 +44,7 @@ class MovingObjectsConfig:
 
     line_px: float = bounded(1.0, above=0, pixels=1)
     tolerance_m: float = bounded(0.03, above=0)
-    share: float = bounded(0.3, above=0, below=1)
+    share: float = bounded(0.2, above=0, below=1)
     min_points: int = bounded(5, least=1)
     behind_m: float = bounded(0.5, above=0)
     window_px: int = bounded(21, least=3, pixels=1)
@@ -75,15 +75,19 @@ class MovingObjects:
         off_map, on_map = self._places(question)
         says_moving = off_line | off_map
         says_static = (on_line | on_map) & ~says_moving
-        is_static, moving = np.ones(len(frame), dtype=np.bool_), []
+        kp = frame.keypoints
+        is_on_moving, is_behind, moving = np.zeros(len(frame), dtype=np.bool_), np.zeros(len(frame), dtype=np.bool_), []
         for box in found.boxes:
-            inside = values_at(filled((box,), found.height, found.width), frame.keypoints.raw_px)
-            own = inside & ~self._is_behind(frame.keypoints.depth_m, inside)
-            judged = own & (says_moving | says_static)
+            inside = values_at(filled((box,), found.height, found.width), kp.raw_px)
+            behind = inside & self._is_behind(kp.depth_m, inside)
+            judged = inside & ~behind & (says_moving | says_static)
             if judged.sum() < self.config.min_points or says_moving[judged].mean() > self.config.share:
-                is_static &= ~(inside & (own | ~says_static))
+                is_on_moving |= inside
+                is_behind |= behind
                 moving.append(box)
-        return Motion(is_static, filled(moving, found.height, found.width))
+        pixels = filled(moving, found.height, found.width)
+        whole = Motion(~is_on_moving | (is_behind & says_static), pixels)
+        return whole if question.leaves_enough(whole) else Motion(~is_on_moving | says_static, pixels)
 
     def remember(self, frame: Frame, T_cam_world: F64, keyframe: int) -> None:
         """Keep the image and its boxes, to compare the next one with."""
@@ -113,14 +117,16 @@ class MovingObjects:
         return off_line, pairs.is_found & ~off_line
 
     def _places(self, question: Question) -> tuple[Bool, Bool]:
-        """Return which keypoints (N,) are not where the map has their point, and which are."""
+        """Return which keypoints (N,) are not where the map has their point, and which are; none at a mere guess."""
         kp, matches = question.frame.keypoints, question.matches
+        off, on = np.zeros((2, len(kp)), dtype=np.bool_)
+        if question.stage is not Stage.LOCAL_MAP:
+            return off, on
         depth_m = kp.depth_m[matches.keypoint]
         predicted_m = se3.transform(question.T_cam_world, question.world.points.position_m[matches.point_id])
         seen_m = question.frame.camera.back_project(kp.px[matches.keypoint], depth_m)
         away_m = np.linalg.norm(seen_m - predicted_m, axis=1)
         is_off = away_m > self.config.tolerance_m * np.maximum(depth_m, 1.0)
-        off, on = np.zeros((2, len(kp)), dtype=np.bool_)
         off[matches.keypoint] = is_off & (depth_m > 0)
         on[matches.keypoint] = ~is_off & (depth_m > 0)
         return off, on

@@ -91,7 +91,9 @@ class OnnxMasks:
         """Start without images."""
         self._network = network
         self._config = config
-        self._masks = LateMasks(self.see, config.every, config.latency_frames, config.carry, config.refine, schedule)
+        self._masks = LateMasks(
+            self.segments, config.every, config.latency_frames, config.carry, config.refine, schedule
+        )
 
     def __call__(self, image: RgbdImage) -> Semantics:
         """Return what is potentially dynamic in the image.
@@ -104,7 +106,7 @@ class OnnxMasks:
         size = image.height, image.width
         return as_semantics(segments, config.movable, *size, known.age, config.regions, config.named)
 
-    def see(self, image: RgbdImage, view: HalfImage) -> MaskSegments:
+    def segments(self, image: RgbdImage, view: HalfImage) -> MaskSegments:
         """Return the network's segments of one image, at half size."""
         rows, columns = view.shape
         every, least = self._network.probabilities(image.rgb, columns, rows), self._config.probability

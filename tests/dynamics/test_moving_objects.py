@@ -95,15 +95,11 @@ def test_what_is_seen_behind_who_walks_stays() -> None:
     assert motion.is_static[above].mean() > 0.8
 
 
-def test_where_too_few_matches_would_be_left_points_are_judged_one_by_one() -> None:
-    """A box covers most of the image, and a quarter of it moves: where nothing else is matched the rest must do."""
-    crowd, waves = Patch(150, 0, WIDTH - 150, HEIGHT), Patch(200, 100, 200, 300, dy=6)
-    show = TwoImages([waves], boxed(crowd))
-    matches, world = with_map(show)
-    in_crowd = crowd.on(show.now)
-    whole = show.ask(sieve(), matches, world)
-    np.testing.assert_array_equal(whole.is_static, ~in_crowd)
-    singly = show.ask(sieve(), matches.keep(in_crowd[matches.keypoint]), world)
-    np.testing.assert_array_equal(singly.moving, crowd.mask())
-    assert not singly.is_static[waves.on(show.now, 12)].any()
-    assert singly.is_static[in_crowd & ~replace(waves, x=170, y=70, width=260, height=360).on(show.now)].mean() > 0.9
+def test_what_is_behind_one_is_not_behind_another_who_stands_there() -> None:
+    """Two walk, one far behind the other, and their boxes overlap: he is not the background of the nearer one."""
+    far, near = Patch(100, 40, 200, 200, dy=6), Patch(100, 240, 200, 200, dy=6)
+    depth_m = np.full((HEIGHT, WIDTH), 5.0, dtype=np.float32)
+    depth_m[far.window], depth_m[near.window] = 3.0, 1.5
+    around = replace(near, y=40, height=400)
+    show = TwoImages([far, near], boxed(around, far), depth_m)
+    assert not show.ask(sieve()).is_static[around.on(show.now)].any()

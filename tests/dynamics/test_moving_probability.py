@@ -202,25 +202,40 @@ def test_expansion_is_the_papers_sum(seed: int) -> None:
     assert np.any(expected[unmatched] != 0.5)
 
 
-def test_expansion_reaches_from_those_of_high_confidence_only() -> None:
-    """Map points of one P cover the image; every second keypoint is unmatched."""
-    for p_moving, reaches in ((0.76, True), (0.74, False)):
-        run = Run(reach_px=40.0, dynamic_above=0.5)
-        run.keyframe(NONE)
-        run.keyframe(NONE)
-        run.index += 1
-        frame, seen = WORLD.look(pose(), seed=run.index, index=run.index)
-        ids = run.small.id_of[seen].astype(np.int32)
-        run.sieve.points.put(ids, np.full(len(ids), p_moving, np.float32))
-        run.sieve._last = None  # nothing is handed on by keypoints
-        unmatched = np.arange(len(ids)) % 2 == 0
-        matches = Matches.of(np.where(unmatched, np.int32(-1), ids))
-        motion = run.sieve.judge(Question(Stage.LOCAL_MAP, frame, matches, Done(NONE), np.eye(4), run.small.map))
-        assert not motion.is_static[~unmatched].any()
-        near = np.array([np.hypot(*(frame.keypoints.px[~unmatched] - px).T).min() <= 40 for px in frame.keypoints.px])
-        np.testing.assert_array_equal(motion.is_static[unmatched & near], not reaches)
-        assert motion.is_static[unmatched & ~near].all()
-        assert (unmatched & near).sum() > 100
+def half_matched(run: Run, p_moving: float) -> tuple[Frame, np.ndarray, Motion]:
+    """Ask of an image in which every second keypoint is matched, all with points of one P; return which are not."""
+    run.index += 1
+    frame, seen = WORLD.look(pose(), seed=run.index, index=run.index)
+    ids = run.small.id_of[seen].astype(np.int32)
+    run.sieve.points.put(ids, np.full(len(ids), p_moving, np.float32))
+    run.sieve._last = None  # nothing is handed on by keypoints
+    unmatched = np.arange(len(ids)) % 2 == 0
+    matches = Matches.of(np.where(unmatched, np.int32(-1), ids))
+    motion = run.sieve.judge(Question(Stage.LOCAL_MAP, frame, matches, Done(NONE), np.eye(4), run.small.map))
+    return frame, unmatched, motion
+
+
+@pytest.mark.parametrize(("p_moving", "reaches"), [(0.76, True), (0.74, False)])
+def test_expansion_reaches_from_those_of_high_confidence_only(p_moving: float, reaches: bool) -> None:
+    run = Run(reach_px=40.0)
+    run.keyframe(NONE)
+    frame, unmatched, motion = half_matched(run, p_moving)
+    assert not motion.is_static[~unmatched].any()
+    px = frame.keypoints.px
+    near = np.array([np.hypot(*(px[~unmatched] - one).T).min() <= 40 for one in px])
+    np.testing.assert_array_equal(motion.is_static[unmatched & near], not reaches)
+    assert motion.is_static[unmatched & ~near].all()
+    assert (unmatched & near).sum() > 100
+
+
+def test_what_is_expanded_is_not_handed_on() -> None:
+    run = Run(reach_px=40.0)
+    run.keyframe(NONE)
+    frame, unmatched, motion = half_matched(run, 0.9)
+    assert not motion.is_static[unmatched].all()
+    run.sieve.remember(frame, np.eye(4), -1)
+    _, seen, later = run.judge(matched=False)
+    assert (~later.is_static).sum() == (~unmatched).sum(), "those that were matched hand it on, and no others"
 
 
 def test_the_preset_is_built_of_parts() -> None:

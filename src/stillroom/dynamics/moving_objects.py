@@ -28,8 +28,8 @@ class MovingObjectsConfig:
     foreground. One of them says that the object moves when it is off the epipolar line that the background draws, from
     the last image to the present one, or when it is not where the map has the point that it is matched with. An object
     moves when a share of its points says so, and when it has too few points to say. Its points are then dynamic, and
-    what lies behind it in its box is unless it says to be static itself. Where that leaves too few matches, the points
-    of the object are judged one by one as well. All of its box is kept out of the dense map.
+    what lies behind it in its box is unless it is shown to be static itself. All of its box is kept out of the dense
+    map.
 
     Attributes:
         line_px: A keypoint further from its epipolar line says that its object moves.
@@ -75,19 +75,15 @@ class MovingObjects:
         off_map, on_map = self._places(question)
         says_moving = off_line | off_map
         says_static = (on_line | on_map) & ~says_moving
-        kp = frame.keypoints
-        is_on_moving, is_behind, moving = np.zeros(len(frame), dtype=np.bool_), np.zeros(len(frame), dtype=np.bool_), []
+        is_static, moving = np.ones(len(frame), dtype=np.bool_), []
         for box in found.boxes:
-            inside = values_at(filled((box,), found.height, found.width), kp.raw_px)
-            behind = inside & self._is_behind(kp.depth_m, inside)
+            inside = values_at(filled((box,), found.height, found.width), frame.keypoints.raw_px)
+            behind = inside & self._is_behind(frame.keypoints.depth_m, inside)
             judged = inside & ~behind & (says_moving | says_static)
             if judged.sum() < self.config.min_points or says_moving[judged].mean() > self.config.share:
-                is_on_moving |= inside
-                is_behind |= behind
+                is_static &= ~inside | (behind & says_static)
                 moving.append(box)
-        pixels = filled(moving, found.height, found.width)
-        whole = Motion(~is_on_moving | (is_behind & says_static), pixels)
-        return whole if question.leaves_enough(whole) else Motion(~is_on_moving | says_static, pixels)
+        return Motion(is_static, filled(moving, found.height, found.width))
 
     def remember(self, frame: Frame, T_cam_world: F64, keyframe: int) -> None:
         """Keep the image and its boxes, to compare the next one with."""

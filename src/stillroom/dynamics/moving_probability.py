@@ -35,9 +35,10 @@ class MovingProbabilityConfig:
     static stays so in a box that comes to cover it, and one on a person whom the detector misses once stays moving.
 
     Differs from the paper, which is known here from notes alone: the thresholds of high confidence, r and C are not
-    given. A keypoint that is more likely moving makes no map point in a keyframe; its P goes on from frame to frame by
-    keypoints alone. A box in an image that is no keyframe counts as a sighting of that image, so that a detector for
-    every image can be used too.
+    given. What is expanded serves one image and is not handed on: a few points of the background that were matched on a
+    person would take all of it with them in some images. A keypoint that is more likely moving makes no map point in a
+    keyframe; its P goes on from frame to frame by keypoints alone. A box in an image that is no keyframe counts as a
+    sighting of that image, so that a detector for every image can be used too.
 
     Attributes:
         gain: Weight of a sighting (α of the paper).
@@ -108,13 +109,13 @@ class _Known:
 
     Attributes:
         frame: The frame.
-        propagated: P of its keypoints (N,) before the network saw it.
-        p_moving: The same with what the network finds, where it did.
+        matched: P that its keypoints (N,) have by matching, 0.5 without a match.
+        p_moving: The same with what the network finds, where it saw the image.
         is_seen: Whether it did.
     """
 
     frame: Frame
-    propagated: F32 = field(repr=False)
+    matched: F32 = field(repr=False)
     p_moving: F32 = field(repr=False)
     is_seen: bool
 
@@ -133,18 +134,24 @@ class MovingProbability:
 
     def judge(self, question: Question) -> Motion:
         """Classify every keypoint by what is propagated to it, and by the boxes of this image where it has any."""
-        propagated, found = self._propagated(question.frame, question.matches), question.found
-        known = self._known(question.frame, propagated, found if found.has_any else None)
-        self._now = known
-        return self._motion(known, found)
+        frame, found = question.frame, question.found
+        matched, is_matched = self._by_matching(frame, question.matches)
+        self._now = known = self._known(frame, matched, found if found.has_any else None)
+        p_moving = known.p_moving
+        if not known.is_seen:
+            config, p_moving = self.config, p_moving.copy()
+            is_sure = is_matched & ((p_moving <= config.surely_static) | (p_moving >= config.surely_dynamic))
+            sure, others = np.flatnonzero(is_sure), np.flatnonzero(~is_matched)
+            expand(frame.keypoints.px, p_moving, sure, others, config.reach_px, config.strength)
+        return self._motion(p_moving, found)
 
     def take_up(self, tracked: Tracked, found: Semantics) -> Motion:
         """Update the P of a keyframe's keypoints by its boxes, and classify them again."""
         now, frame = self._now, tracked.frame
         same = now is not None and now.frame.keypoints is frame.keypoints
-        propagated = now.propagated if now is not None and same else np.full(len(frame), UNKNOWN)
-        self._now = self._known(frame, propagated, found)
-        return self._motion(self._now, found)
+        matched = now.matched if now is not None and same else np.full(len(frame), UNKNOWN)
+        self._now = self._known(frame, matched, found)
+        return self._motion(self._now.p_moving, found)
 
     def remember(self, frame: Frame, T_cam_world: F64, keyframe: int) -> None:
         """Keep the frame, and the P of the points of a keyframe."""
@@ -153,7 +160,7 @@ class MovingProbability:
             return
         if keyframe >= 0:
             if not now.is_seen:  # a network for every image found nothing in this one
-                now = self._known(frame, now.propagated, Semantics(frame.image.height, frame.image.width))
+                now = self._known(frame, now.matched, Semantics(frame.image.height, frame.image.width))
             self._write(keyframe, now.p_moving)
         self._last, self._paired = now, None
 
@@ -168,18 +175,18 @@ class MovingProbability:
         self._written = point_ids[seen].copy()
         self.points.put(self._written, p_moving[seen])
 
-    def _known(self, frame: Frame, propagated: F32, found: Semantics | None) -> _Known:
+    def _known(self, frame: Frame, matched: F32, found: Semantics | None) -> _Known:
         if found is None:
-            return _Known(frame, propagated, propagated, is_seen=False)
+            return _Known(frame, matched, matched, is_seen=False)
         sighting = found.movable_at(frame.keypoints.raw_px).astype(np.float32)
         gain = np.float32(self.config.gain)
-        return _Known(frame, propagated, (1 - gain) * propagated + gain * sighting, is_seen=True)
+        return _Known(frame, matched, (1 - gain) * matched + gain * sighting, is_seen=True)
 
-    def _motion(self, known: _Known, found: Semantics) -> Motion:
-        return Motion(known.p_moving <= self.config.dynamic_above, found.movable)
+    def _motion(self, p_moving: F32, found: Semantics) -> Motion:
+        return Motion(p_moving <= self.config.dynamic_above, found.movable)
 
-    def _propagated(self, frame: Frame, matches: Matches) -> F32:
-        """Return the P of a frame's keypoints (N,) by matching, then by expansion."""
+    def _by_matching(self, frame: Frame, matches: Matches) -> tuple[F32, Bool]:
+        """Return the P that a frame's keypoints (N,) have by matching, and which have a match of which P is known."""
         p_moving, is_known = np.full(len(frame), UNKNOWN), np.zeros(len(frame), dtype=np.bool_)
         if self._last is not None:
             then, now = self._pairs(self._last.frame.keypoints, frame)
@@ -188,10 +195,7 @@ class MovingProbability:
         by_point, has_one = self.points.of(matches.point_id)
         p_moving[matches.keypoint[has_one]] = by_point[has_one]
         is_known[matches.keypoint[has_one]] = True
-        config, px = self.config, frame.keypoints.px
-        is_sure = is_known & ((p_moving <= config.surely_static) | (p_moving >= config.surely_dynamic))
-        expand(px, p_moving, np.flatnonzero(is_sure), np.flatnonzero(~is_known), config.reach_px, config.strength)
-        return p_moving
+        return p_moving, is_known
 
     def _pairs(self, then: Keypoints, frame: Frame) -> tuple[I32, I32]:
         """Return matches of the last frame's keypoints with this one's (M,) each; the same ones for every stage."""

@@ -19,6 +19,8 @@ from stillroom.geometry.robust import find_fundamental
 
 MIN_FOR_F = 15
 """Fewer pairs than this draw no lines: seven make a matrix, and some of them are wrong."""
+LEAST_WINDOW_PX = 3
+"""OpenCV takes no smaller one; in small images a window may come to be."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +49,11 @@ class FlowPairs:
     def off_lines(self, F_now_then: F64, limit_px: float) -> Bool:
         """Return which points (N,) were found, further than a limit [px] from their lines in the present image."""
         return self.is_found & (line_distances_px(F_now_then, self.then_px, self.now_px) > limit_px)
+
+
+def flow_of(window_px: int, levels: int) -> OpticalFlow:
+    """Return a flow with windows of a side [px], and levels above the image."""
+    return OpticalFlow(max(LEAST_WINDOW_PX, window_px), levels)
 
 
 def followed_back(frame: Frame, last: RgbdImage, flow: OpticalFlow) -> FlowPairs:

@@ -13,8 +13,7 @@ from stillroom.data.motion import Motion
 from stillroom.data.question import Question
 from stillroom.data.semantics import Instance, Semantics, union_of
 from stillroom.dynamics.asking import ImageMemory
-from stillroom.dynamics.flow_pairs import FlowPairs, inside
-from stillroom.features.optical_flow import OpticalFlow
+from stillroom.dynamics.flow_pairs import FlowPairs, flow_of, inside
 from stillroom.geometry.arrays import F32, F64, U8, Bool
 from stillroom.geometry.camera import Camera
 from stillroom.geometry.pixels import Shape, grown, values_at
@@ -34,8 +33,8 @@ class MovingConsistencyConfig:
     are enough outliers moves, and all its keypoints go; on the others all stay.
 
     Differs from the paper: where there is no last image, or no matrix, every segment moves, as nothing shows that it is
-    static. No number of outliers is given for "enough"; the code's single one is hit by errors of the flow on people
-    who stand. All of the mask is kept out of the dense map, moving or not, as in the code.
+    static. No number of outliers is given for "enough", and the code has one; here it takes three, so that one error of
+    the flow does not decide. All of the mask is kept out of the dense map, moving or not, as in the code.
 
     Attributes:
         corners: Most corners that are followed.
@@ -55,7 +54,7 @@ class MovingConsistencyConfig:
     corners: int = bounded(1000, least=1)
     quality: float = bounded(0.01, above=0, below=1)
     apart_px: float = bounded(8.0, above=0, pixels=1)
-    window_px: int = bounded(22, least=3, pixels=1)
+    window_px: int = bounded(22, least=1, pixels=1)
     levels: int = bounded(5, least=0)
     edge_px: int = bounded(5, least=1, pixels=1)
     max_difference: int = bounded(2120, least=0)
@@ -77,7 +76,7 @@ class MovingConsistency:
     def __init__(self, config: MovingConsistencyConfig, seed: int) -> None:
         """Start without a last image."""
         self.config = config
-        self._flow = OpticalFlow(config.window_px, config.levels)
+        self._flow = flow_of(config.window_px, config.levels)
         self._ransac = usac(config.inlier_px, seed, confidence=0.99, magsac=False)
         self._last: RgbdImage | None = None
         self._moving: ImageMemory[Bool] = ImageMemory()
@@ -115,7 +114,7 @@ class MovingConsistency:
 
     def _outliers_px(self, last: RgbdImage, image: RgbdImage, camera: Camera) -> F32 | None:
         """Return where in the image as taken (O, 2) [px] points are off their lines; None where there are no lines."""
-        then_px, now_px = self._followed(last, image)
+        then_px, now_px = self._followed(last, image, camera.in_pixels(_SUBPIXEL_REACH_PX))
         pairs = FlowPairs(
             camera.undistort(then_px).astype(np.float64),
             camera.undistort(now_px).astype(np.float64),
@@ -128,14 +127,19 @@ class MovingConsistency:
         F_now_then = pairs.lines_of(~pairs.off_lines(first, self.config.inlier_px), self._ransac)
         return None if F_now_then is None else now_px[pairs.off_lines(F_now_then, self.config.line_px)]
 
-    def _followed(self, last: RgbdImage, image: RgbdImage) -> tuple[F32, F32]:
-        """Return corners of the last image (P, 2) and where they are in this one (P, 2) [px, as taken]."""
+    def _followed(self, last: RgbdImage, image: RgbdImage, reach_px: int) -> tuple[F32, F32]:
+        """Return corners of the last image (P, 2) and where they are in this one (P, 2) [px, as taken].
+
+        Args:
+            last: The last image.
+            image: This one.
+            reach_px: Half the side of the square in which a corner is refined.
+        """
         config = self.config
         corners: Any = cv2.goodFeaturesToTrack(last.gray, config.corners, config.quality, config.apart_px)
         if corners is None:
             return np.zeros((0, 2), dtype=np.float32), np.zeros((0, 2), dtype=np.float32)
-        reach = _SUBPIXEL_REACH_PX, _SUBPIXEL_REACH_PX
-        refined = cv2.cornerSubPix(last.gray, corners, reach, (-1, -1), _SUBPIXEL_END)
+        refined = cv2.cornerSubPix(last.gray, corners, (reach_px, reach_px), (-1, -1), _SUBPIXEL_END)
         then_px = np.asarray(refined[:, 0], dtype=np.float32)
         now_px, is_found = self._flow.follow(last.gray, image.gray, then_px)
         for px, of in ((then_px, last), (now_px, image)):

@@ -10,8 +10,7 @@ from stillroom.data.image import RgbdImage
 from stillroom.data.motion import Motion, Stage
 from stillroom.data.question import Question
 from stillroom.data.semantics import Semantics, filled
-from stillroom.dynamics.flow_pairs import followed_back
-from stillroom.features.optical_flow import OpticalFlow
+from stillroom.dynamics.flow_pairs import flow_of, followed_back
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F32, F64, Bool
 from stillroom.geometry.pixels import values_at
@@ -47,7 +46,7 @@ class MovingObjectsConfig:
     share: float = bounded(0.2, above=0, below=1)
     min_points: int = bounded(5, least=1)
     behind_m: float = bounded(0.5, above=0)
-    window_px: int = bounded(21, least=3, pixels=1)
+    window_px: int = bounded(21, least=1, pixels=1)
     levels: int = bounded(3, least=0)
     inlier_px: float = bounded(1.0, above=0, pixels=1)
 
@@ -63,7 +62,7 @@ class MovingObjects:
     def __init__(self, config: MovingObjectsConfig, seed: int) -> None:
         """Start without a last image."""
         self.config = config
-        self._flow = OpticalFlow(config.window_px, config.levels)
+        self._flow = flow_of(config.window_px, config.levels)
         self._usac = usac(config.inlier_px, seed, confidence=0.99)
         self._last: tuple[RgbdImage, Bool] | None = None
         self._lined: tuple[Keypoints, Semantics, Bool, Bool] | None = None

@@ -66,7 +66,10 @@ class MovingProbabilityConfig:
 
 
 class PointProbabilities:
-    """The P of map points by id; ids are never used again, so those of removed points need no care."""
+    """The P of map points by id; ids are never used again, so those of removed points need no care.
+
+    It is not stored with a map: in one that is continued nothing is known of the points.
+    """
 
     def __init__(self) -> None:
         """Start with no point known."""

@@ -10,8 +10,7 @@ from stillroom.data.image import RgbdImage
 from stillroom.data.motion import Motion
 from stillroom.data.question import Question
 from stillroom.data.semantics import Semantics, filled
-from stillroom.dynamics.flow_pairs import followed_back
-from stillroom.features.optical_flow import OpticalFlow
+from stillroom.dynamics.flow_pairs import flow_of, followed_back
 from stillroom.geometry.arrays import F64, Bool
 from stillroom.geometry.pixels import values_at
 from stillroom.geometry.robust import usac
@@ -42,7 +41,7 @@ class SemanticFlowConfig:
 
     line_px: float = bounded(1.0, above=0, pixels=1)
     judged: str = bounded("every", one_of=("every", "labelled"))
-    window_px: int = bounded(21, least=3, pixels=1)
+    window_px: int = bounded(21, least=1, pixels=1)
     levels: int = bounded(3, least=0)
     inlier_px: float = bounded(1.0, above=0, pixels=1)
 
@@ -58,7 +57,7 @@ class SemanticFlow:
     def __init__(self, config: SemanticFlowConfig, seed: int) -> None:
         """Start without a last image."""
         self.config = config
-        self._flow = OpticalFlow(config.window_px, config.levels)
+        self._flow = flow_of(config.window_px, config.levels)
         self._usac = usac(config.inlier_px, seed, confidence=0.99)
         self._last: tuple[RgbdImage, Bool] | None = None
         self._said: tuple[Keypoints, Semantics, Bool, Motion] | None = None

@@ -16,10 +16,14 @@ from stillroom.dynamics.chain import KeepAllConfig, KeepAllKeypointsConfig
 from stillroom.dynamics.cluster_sieve import ClusterSieveConfig
 from stillroom.dynamics.homography.homography_sieve import CompensatedHomographyConfig
 from stillroom.dynamics.masked_keypoints import MaskedKeypointsConfig
+from stillroom.dynamics.moving_consistency import MovingConsistencyConfig
+from stillroom.dynamics.moving_objects import MovingObjectsConfig
+from stillroom.dynamics.moving_probability import MovingProbabilityConfig
 from stillroom.dynamics.multiview.multiview_sieve import MultiViewConfig
 from stillroom.dynamics.paper_epipolar import PaperEpipolarConfig
 from stillroom.dynamics.projected.paper_ants import PaperAntsConfig
 from stillroom.dynamics.segment_sieve import MovedSegmentsConfig
+from stillroom.dynamics.semantic_flow import SemanticFlowConfig
 from stillroom.errors import ConfigError
 from stillroom.presets import registry
 from stillroom.presets.method import Method
@@ -166,6 +170,28 @@ def test_the_sieves_of_a_chain_are_sockets_of_their_own() -> None:
     assert again == config
     with pytest.raises(ConfigError, match=r"dynamics.second.kind is 'chains'.*did you mean"):
         configure("pspnet-slam", None, ["dynamics.second.kind=chains"])
+
+
+def test_the_systems_of_pspnet_slams_table_have_the_numbers_of_their_papers() -> None:
+    ds_slam, sof_slam, zhang_slam = (method(name).config for name in ("ds-slam", "sof-slam", "zhang-slam"))
+    check = ds_slam.dynamics  # docs/reference.md#ds-slam
+    assert isinstance(check, MovingConsistencyConfig)
+    assert (check.corners, check.quality, check.apart_px, check.window_px, check.levels) == (1000, 0.01, 8, 22, 5)
+    assert (check.edge_px, check.max_difference, check.inlier_px, check.line_px) == (5, 2120, 0.1, 1)
+    assert isinstance(sof_slam.dynamics, SemanticFlowConfig)
+    assert (sof_slam.dynamics.line_px, sof_slam.dynamics.judged) == (1, "every")  # docs/reference.md#sof-slam
+    assert classes(zhang_slam, "semantics", "dynamics") == [YoloFastestConfig, MovingObjectsConfig]
+    assert [config.semantics.every for config in (ds_slam, sof_slam)] == [1, 1]  # type: ignore[attr-defined]
+    detect_slam = method("detect-slam").config  # docs/reference.md#detect-slam
+    assert isinstance(detect_slam.semantics, YoloFastestConfig)
+    assert detect_slam.semantics.sees == "keyframes"
+    assert {"person", "dog", "car"} < set(detect_slam.semantics.movable)
+    assert isinstance(detect_slam.dynamics, MovingProbabilityConfig)
+    assert detect_slam.dynamics.gain == 0.3
+    # All else is ORB-SLAM2's, keypoints for every image included; L. Zhang et al. and DS-SLAM have a dense map.
+    for config in (ds_slam, detect_slam, sof_slam, zhang_slam):
+        assert rest_of(config, "semantics", "dynamics", "dense") == SlamConfig()
+    assert classes(detect_slam, "dense") + classes(sof_slam, "dense") == [NoDenseMapConfig, NoDenseMapConfig]
 
 
 def test_a_preset_is_a_short_file() -> None:

@@ -21,11 +21,15 @@ from stillroom.dynamics.cluster_sieve import ClusterSieveConfig
 from stillroom.dynamics.epipolar_sieve import EpipolarConfig
 from stillroom.dynamics.homography.homography_sieve import CompensatedHomographyConfig
 from stillroom.dynamics.masked_keypoints import MaskedKeypointsConfig
+from stillroom.dynamics.moving_consistency import MovingConsistencyConfig
+from stillroom.dynamics.moving_objects import MovingObjectsConfig
+from stillroom.dynamics.moving_probability import MovingProbabilityConfig
 from stillroom.dynamics.multiview.multiview_sieve import CodeMultiViewConfig, MultiViewConfig, PaperMultiViewConfig
 from stillroom.dynamics.paper_clusters import PaperClustersConfig
 from stillroom.dynamics.paper_epipolar import PaperEpipolarConfig
 from stillroom.dynamics.projected.paper_ants import PaperAntsConfig
 from stillroom.dynamics.segment_sieve import MovedSegmentsConfig
+from stillroom.dynamics.semantic_flow import SemanticFlowConfig
 from stillroom.dynamics.whole_boxes import WholeBoxesConfig
 from stillroom.errors import ConfigError
 from stillroom.plugins import PluginGroup
@@ -57,6 +61,10 @@ SINGLE_SIEVES: Mapping[str, type[Any]] = {
     "compensated-homography": CompensatedHomographyConfig,
     "paper-ants": PaperAntsConfig,
     "moved-segments": MovedSegmentsConfig,
+    "moving-consistency": MovingConsistencyConfig,
+    "moving-probability": MovingProbabilityConfig,
+    "semantic-flow": SemanticFlowConfig,
+    "moving-objects": MovingObjectsConfig,
 }
 
 

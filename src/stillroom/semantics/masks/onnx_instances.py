@@ -166,7 +166,9 @@ class OnnxInstances:
             config.scores == SOFTMAX,
             None if config.masks_cover == AUTO else config.masks_cover == BOX,
         )
-        self._masks = LateMasks(self.see, config.every, config.latency_frames, config.carry, config.refine, schedule)
+        self._masks = LateMasks(
+            self.segments, config.every, config.latency_frames, config.carry, config.refine, schedule
+        )
 
     def __call__(self, image: RgbdImage) -> Semantics:
         """Return what is potentially dynamic in the image.
@@ -177,7 +179,7 @@ class OnnxInstances:
         known = self._masks(image)
         return as_instances(known.segments, image.height, image.width, known.age, self._config.regions)
 
-    def see(self, image: RgbdImage, view: HalfImage) -> MaskSegments:
+    def segments(self, image: RgbdImage, view: HalfImage) -> MaskSegments:
         """Return the network's instances of one image, at half size."""
         fit = self._network.fit(image)
         layout, candidates = self._read(self._network.run(image.rgb, fit))

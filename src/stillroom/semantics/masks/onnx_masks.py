@@ -18,12 +18,10 @@ from stillroom.semantics.masks.network import LOGITS, PROBABILITIES, Segmentatio
 from stillroom.semantics.masks.refine import RefineConfig
 from stillroom.semantics.masks.regions import RegionsConfig, as_semantics, without_specks
 from stillroom.semantics.onnx.onnx_session import find_model
+from stillroom.semantics.seen_images import IMAGES, KEYFRAMES, SEES
 
 DEEPLAB = Path("deeplabv3_mobilenetv2_voc.onnx")
 """The network where none is named: DeepLabv3 on MobileNetV2, VOC classes."""
-IMAGES, KEYFRAMES = "images", "keyframes"
-SEES = IMAGES, KEYFRAMES
-"""What a network may see."""
 
 
 @dataclass(frozen=True)

@@ -16,10 +16,11 @@ from stillroom.protocols import Parts, Segmenter
 from stillroom.semantics.class_names import VOC_CLASSES, channels_of
 from stillroom.semantics.masks.carried_masks import MaskCarryConfig
 from stillroom.semantics.masks.network import LOGITS, SegmentationInput, SegmentationNetwork
-from stillroom.semantics.masks.onnx_masks import IMAGES, SEES, OnnxMasksConfig, segmenter_of
+from stillroom.semantics.masks.onnx_masks import OnnxMasksConfig, segmenter_of
 from stillroom.semantics.masks.refine import RefineConfig
 from stillroom.semantics.masks.regions import RegionsConfig
 from stillroom.semantics.onnx.onnx_session import find_model
+from stillroom.semantics.seen_images import IMAGES, SEES
 
 SHIPPED = "pspnet_mobilenetv2_voc.onnx"
 INPUTS_PX = {"320x240": 320, "512x384": 512, "640x480": 640}

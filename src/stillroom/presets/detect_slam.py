@@ -8,7 +8,8 @@ and how it helps the detector (3.3), are left out. Every image has keypoints of 
 from stillroom.config import SlamConfig
 from stillroom.dynamics.moving_probability import MovingProbabilityConfig
 from stillroom.presets.method import Method
-from stillroom.semantics.yolo_fastest import KEYFRAMES, YoloFastestConfig
+from stillroom.semantics.seen_images import KEYFRAMES
+from stillroom.semantics.yolo_fastest import YoloFastestConfig
 
 MOVABLE = ("person", "bird", "cat", "dog", "horse", "sheep", "cow", "elephant", "bear", "zebra", "giraffe", "car")
 """People, animals and cars (docs/reference.md#detect-slam)."""

@@ -14,6 +14,14 @@ from stillroom.viz.page.tables import sortable_table
 SPREAD = {"median", "min", "max"}
 """Keys of a figure over several runs, as `Spread` has them."""
 NAMES = ("method", "name", "search")
+FIGURES = {
+    "ate_se3_m": "ATE [m]",
+    "coverage": "share of the frames tracked",
+    "rpe_translation_m_s": "RPE [m/s]",
+    "rpe_rotation_deg_s": "RPE [deg/s]",
+    "frame_cpu_ms": "CPU time of a frame [ms]",
+}
+"""What is written for the names in the file."""
 NOTE = "Bar: median; line: from the least to the largest of the runs."
 SORT_NOTE = "A click on the name of a column sorts by it."
 
@@ -85,7 +93,7 @@ def series_of(rows: Sequence[Mapping[str, Any]]) -> dict[str, list[Bar]]:
         for figure, spread in _spreads(row):
             n_runs = f"{spread['n_runs']} runs" if "n_runs" in spread else ""
             bar = Bar(name, spread["median"], spread["min"], spread["max"], n_runs)
-            found.setdefault(f"{figure.replace('_', ' ')}{on}", []).append(bar)
+            found.setdefault(f"{FIGURES.get(figure, figure.replace('_', ' '))}{on}", []).append(bar)
     return found
 
 

@@ -1,11 +1,15 @@
 """`stillroom report`."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from stillroom.cli.arguments import PLOT_FORMATS, Formats, Tables, chosen_of
+
+SEQUENCE = 1
+"""Which column of a comparison tells the sequence; on a terminal it is a title, and folders, the last, are too wide."""
 
 
 def report(
@@ -43,8 +47,15 @@ def report(
         return
     file = out or Path("results") / f"{datetime.now():%Y-%m-%d_%H-%M-%S}_comparison.html"
     compared = compare_runs(folders, file, drawn)
-    print_table(compared.header, compared.rows, N_WORDS)
+    for sequence in dict.fromkeys(row[SEQUENCE] for row in compared.rows):
+        print_lines(["", sequence])
+        rows = [row for row in compared.rows if row[SEQUENCE] == sequence]
+        print_table(_narrowed(compared.header), map(_narrowed, rows))
     print_lines(compared.notes)
     files = write_table(file.with_suffix(""), "", compared.header, compared.rows, N_WORDS, forms)
     print_lines([f"report: {compared.file}", *(f"table: {path}" for path in files)])
     print_lines([f"plot: {path}" for path in compared.plots])
+
+
+def _narrowed(cells: Sequence[str]) -> list[str]:
+    return [*cells[:SEQUENCE], *cells[SEQUENCE + 1 : -1]]

@@ -285,17 +285,15 @@ def _conclude(outcome: RunOutcome, intake: Intake, options: RunOptions, viewers:
             results.write_run_metrics(folder, outcome)
     outcome.pictures = tuple(sorted(pictures.glob("*.png")))
     if options.report:
-        outcome.report = _write_report(folder, outcome.warnings)
+        _write_report(outcome, folder)
 
 
-def _write_report(folder: Path, warnings: list[str]) -> Path | None:
-    """Write the report of what is there; None, with a warning, where it cannot be written."""
-    written: Path | None = None
+def _write_report(outcome: RunOutcome, folder: Path) -> None:
+    """Write the report of what is there; that it cannot be written is a warning."""
     with ending_nothing("the report is left out"):
-        if warnings:
-            replace_text(folder / results.WARNINGS, "".join(f"{warning}\n" for warning in warnings))
-        written = write_run_page(folder)
-    return written
+        if outcome.warnings:
+            replace_text(folder / results.WARNINGS, "".join(f"{warning}\n" for warning in outcome.warnings))
+        outcome.report = write_run_page(folder)
 
 
 def _evaluate(outcome: RunOutcome, trajectory: Trajectory, truth: results.Truth | None) -> None:

@@ -148,7 +148,9 @@ def compare_runs(paths: Sequence[Path], out: Path, formats: Sequence[str] = ()) 
         out.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise cannot_be_written(out, error) from error
-    write_page(out, _title(runs, sequences), [f"{len(runs)} runs: {', '.join(names.values())}"], sections)
+    write_page(
+        out, _title(runs, sequences), [f"{len(runs)} runs: {' · '.join(dict.fromkeys(names.values()))}"], sections
+    )
     texts = tuple(tuple(c.text if isinstance(c, Number) else c for c in row) for row in rows)
     return Comparison(out, header, texts, tuple(notes), _plots(out, groups, names, formats) if formats else ())
 
@@ -159,13 +161,13 @@ def _names(runs: Sequence[Finished]) -> dict[Path, str]:
         lambda run: run.method,
         lambda run: f"{run.method}, seed {run.config.get('seed', NONE)}",
         lambda run: f"{run.method}, {run.folder.name}",
-        lambda run: str(run.folder),
     )
-    for way in ways:
-        seen = [(run.sequence, way(run)) for run in runs]
-        if len(set(seen)) == len(seen):
-            return {run.folder: way(run) for run in runs}
-    return {run.folder: str(run.folder) for run in runs}
+    names: dict[Path, str] = {}
+    for run in runs:
+        others = [other for other in runs if other.sequence == run.sequence and other.folder != run.folder]
+        telling = (way(run) for way in ways if all(way(run) != way(other) for other in others))
+        names[run.folder] = next(telling, str(run.folder))
+    return names
 
 
 def _title(runs: Sequence[Finished], sequences: Sequence[str]) -> str:
@@ -205,7 +207,7 @@ def _sections(
     return [
         Section(f"Trajectories{on}", ways),
         Section(f"Error over time{on}", errors),
-        Section(f"Figures{on}", _bars(group)),
+        Section(f"Figures{on}", _bars(group) if len(group) > 1 else []),
         Section(f"Dense maps{on}", _dense_maps(group, names, album)),
     ]
 

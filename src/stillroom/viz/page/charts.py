@@ -128,20 +128,18 @@ def bars(rows: Sequence[Bar], xlabel: str, of_range: str, digits: int = 1, one_c
     from bokeh.models import ColumnDataSource, HoverTool, Whisker
 
     names = _unlike([bar.name for bar in rows])
-    palette = dict(zip(dict.fromkeys(bar.name for bar in rows), colors(len(rows)), strict=False))
-    low, high = (
-        [bar.value if end is None else end for bar, end in zip(rows, ends, strict=True)] for ends in _ends(rows)
-    )
+    of_name = dict(zip(dict.fromkeys(bar.name for bar in rows), colors(len(rows)), strict=False))
     data = {
         "name": names,
         "value": [bar.value for bar in rows],
-        "low": low,
-        "high": high,
+        "low": [np.nan if bar.low is None else bar.low for bar in rows],
+        "high": [np.nan if bar.high is None else bar.high for bar in rows],
+        "told": [_told(bar, digits) for bar in rows],
         "note": [bar.note for bar in rows],
-        "color": [ESTIMATES[0] if one_color else palette[bar.name] for bar in rows],
+        "color": [ESTIMATES[0] if one_color else of_name[bar.name] for bar in rows],
     }
     source = ColumnDataSource(data)
-    plot = _figure(xlabel, "", ROW_PX * len(rows) + 80, y_range=names[::-1], tools="save,reset")
+    plot = _figure(xlabel, "", ROW_PX * len(rows) + 72, y_range=names[::-1], tools="", toolbar_location=None)
     drawn = plot.hbar(y="name", right="value", height=0.62, source=source, fill_color="color", line_color=None)
     drawn.glyph.fill_alpha = 0.85
     if any(bar.low is not None for bar in rows):
@@ -150,18 +148,11 @@ def bars(rows: Sequence[Bar], xlabel: str, of_range: str, digits: int = 1, one_c
         for head in (ranges.upper_head, ranges.lower_head):
             head.size, head.line_color, head.line_width = 8, TRUTH, 1.4
         plot.add_layout(ranges)
-    tips = [
-        ("", "@name"),
-        (of_range, _format("value", digits) + f" ({_format('low', digits)} – {_format('high', digits)})"),
-    ]
-    if any(bar.note for bar in rows):
-        tips.append(("", "@note"))
+    tips = [("", "@name"), (of_range, "@told"), ("", "@note")]
     plot.add_tools(HoverTool(tooltips=tips, renderers=[drawn]))
-    plot.x_range.start = 0.0
-    plot.x_range.only_visible = False
+    longest = max([bar.value for bar in rows] + [bar.high for bar in rows if bar.high is not None])
+    plot.x_range.start, plot.x_range.end = 0.0, 1.05 * longest if longest > 0 else 1.0
     plot.ygrid.grid_line_color = None
-    longest = max([bar.value for bar in rows] + [end for end in high if np.isfinite(end)])
-    plot.x_range.end = 1.05 * longest if longest > 0 else 1.0
     return plot
 
 
@@ -173,17 +164,18 @@ def colors(n: int) -> list[str]:
 def _figure(xlabel: str, ylabel: str, height: int, tools: str = TOOLS, **more: Any) -> Any:
     from bokeh.plotting import figure
 
+    more = {"toolbar_location": "right"} | more
     plot = figure(
         height=height,
         sizing_mode="stretch_width",
         tools=tools,
-        toolbar_location="right",
         **({"active_drag": "box_zoom"} if "box_zoom" in tools else {}),
         x_axis_label=xlabel,
         y_axis_label=ylabel,
         **more,
     )
     plot.toolbar.logo = None
+    plot.xaxis[0].formatter.use_scientific = False
     return plot
 
 
@@ -233,12 +225,11 @@ def _shade(plot: Any, lost_s: Sequence[tuple[float, float]]) -> None:
         )
 
 
-def _ends(rows: Sequence[Bar]) -> tuple[list[float | None], list[float | None]]:
-    return [bar.low for bar in rows], [bar.high for bar in rows]
-
-
-def _format(column: str, digits: int) -> str:
-    return f"@{column}{{0.{'0' * digits}}}" if digits else f"@{column}{{0}}"
+def _told(bar: Bar, digits: int) -> str:
+    """Return a bar's value and range in words."""
+    if bar.low is None or bar.high is None:
+        return f"{bar.value:.{digits}f}"
+    return f"{bar.value:.{digits}f} ({bar.low:.{digits}f} – {bar.high:.{digits}f})"
 
 
 def _unlike(names: Sequence[str]) -> list[str]:

@@ -19,7 +19,7 @@ NO_VALUE = ("", "–", "-")
 """Cells that stand for a number that is missing."""
 
 FITTING_PX = 1190
-"""Narrower tables are drawn out to the width of a page; in wider ones columns keep theirs, and the table scrolls."""
+"""Wider tables scroll; a page is not wider."""
 
 LOOK = f"""
 :host {{ font: 13px "DejaVu Sans", Verdana, "Segoe UI", sans-serif; color: {INK}; }}
@@ -58,14 +58,16 @@ def sortable_table(header: Sequence[str], rows: Sequence[Sequence[Cell]], n_word
         columns.append(
             TableColumn(field=f"sorted{place}", title=name, width=width, formatter=HTMLTemplateFormatter(template=look))
         )
+    width = sum(column.width for column in columns)
+    size = {"sizing_mode": "stretch_width"} if width > FITTING_PX else {"width": width + 4}
     return DataTable(
+        **size,
         source=ColumnDataSource(data),
         columns=columns,
         index_position=None,
-        sizing_mode="stretch_width",
         height=ROW_PX * len(rows) + 40,
         row_height=ROW_PX,
-        autosize_mode="force_fit" if sum(column.width for column in columns) < FITTING_PX else "none",
+        autosize_mode="none",
         selectable=False,
         reorderable=False,
         stylesheets=[InlineStyleSheet(css=LOOK)],

@@ -13,6 +13,7 @@ LATEX = str.maketrans(
         "\\": r"\textbackslash{}",
         "{": r"\{",
         "}": r"\}",
+        "[": "{[}",  # after the end of a row, a length would follow
         "&": r"\&",
         "%": r"\%",
         "$": r"\$",

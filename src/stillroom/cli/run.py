@@ -251,9 +251,10 @@ def _sentences(outcome: "RunOutcome") -> list[str]:
 
     has_segmenter = outcome.live is not None and outcome.live.has_segmenter
     sentences = summary.sentences(run_figures(outcome), outcome.n_given, has_segmenter)
-    for what, place in (("map file", outcome.map_file), ("masks", outcome.masks), ("results", outcome.folder)):
-        if place is not None:
-            sentences.append(f"{what}: {place}")
-    if outcome.report is not None:
-        sentences.append(f"report: {outcome.report}")
-    return sentences
+    places = {
+        "map file": outcome.map_file,
+        "masks": outcome.masks,
+        "report": outcome.report,
+        "results": outcome.folder,  # the last line, which scripts read
+    }
+    return sentences + [f"{what}: {place}" for what, place in places.items() if place is not None]

@@ -42,7 +42,8 @@ def ghosts(
         str | None, typer.Option("--map", metavar="A:B", help="Frames to map; by default all after these.")
     ] = None,
     picture: Annotated[
-        Path | None, typer.Option(metavar="PNG", help="Draw both maps side by side, and write them here.")
+        Path | None,
+        typer.Option(metavar="FILE", help="Draw both maps side by side, as PNG, or as PDF or SVG by its suffix."),
     ] = None,
     camera: Camera = None,
     settings: Settings = None,

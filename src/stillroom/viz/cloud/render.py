@@ -254,7 +254,7 @@ def write_panels(path: Path, panels: list[U8], captions: tuple[str, ...], notes:
 
 def _fill(figure: Any, panel: U8, left: float, width: float) -> None:
     """Put a picture into a part of a figure, as high as the figure; left and width are shares of the figure's."""
+    figure.set_layout_engine("none")
     axes = figure.add_axes((left, 0.0, width, 1.0))
     axes.set_axis_off()
-    axes.set_in_layout(False)
     axes.imshow(panel, aspect="auto", interpolation="none")

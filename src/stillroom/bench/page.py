@@ -22,7 +22,9 @@ FIGURES = {
     "frame_cpu_ms": "CPU time of a frame [ms]",
 }
 """What is written for the names in the file."""
-NOTE = "Bar: median; line: from the least to the largest of the runs."
+NOTE = (
+    "Bar: median; line: from the least to the largest of the runs, of a stage up to the 95th percentile of the frames."
+)
 SORT_NOTE = "A click on the name of a column sorts by it."
 
 
@@ -62,14 +64,17 @@ def write_bench_page(
     sections = [
         Section(
             each.title,
-            [sortable_table(each.header, each.rows, each.n_words), paragraphs([*each.notes, SORT_NOTE], "note")],
+            [
+                sortable_table(each.header, _whole(each.rows), each.n_words),
+                paragraphs([*each.notes, SORT_NOTE], "note"),
+            ],
         )
         for each in tables
         if each.rows
     ]
     drawn = [block for name, bars in series.items() for block in _drawn(name, bars)]
     if drawn:
-        sections.append(Section("Over the runs", [*drawn, paragraphs([NOTE], "note")]))
+        sections.append(Section("Figures", [*drawn, paragraphs([NOTE], "note")]))
     lines = [f"{name}: {value}" for name, value in how.items() if not isinstance(value, Mapping)]
     lines += [f"{part} {value}" for one in how.values() if isinstance(one, Mapping) for part, value in one.items()]
     sections.append(Section("How it came about", [folded("versions, commit, command", "\n".join(lines))]))
@@ -80,7 +85,8 @@ def series_of(rows: Sequence[Mapping[str, Any]]) -> dict[str, list[Bar]]:
     """Return bars of each figure that has a range, from the rows that a bench keeps for its file.
 
     Args:
-        rows: Figures by name; one over several runs is a mapping with `median`, `min` and `max`.
+        rows: Figures by name; one over several runs is a mapping with `median`, `min` and `max`. `stages` holds the
+            time of each stage, `time_ratio` what a search costs as a share of testing every point.
 
     Returns:
         By figure, and by sequence where there are several, a bar for each row that has it.
@@ -90,11 +96,29 @@ def series_of(rows: Sequence[Mapping[str, Any]]) -> dict[str, list[Bar]]:
     for row in rows:
         name = next((str(row[key]) for key in NAMES if key in row), "")
         on = f", {row['sequence']}" if len(sequences) > 1 and row.get("sequence") else ""
+        if isinstance(row.get("stages"), Sequence):
+            found[f"CPU time of each stage [ms], {name}{on}"] = [_stage(stage) for stage in row["stages"]]
+        if "time_ratio" in row:
+            bar = Bar(f"{row.get('test', '')}, {name}", row["time_ratio"])
+            found.setdefault(f"time, as a share of testing every point{on}", []).append(bar)
         for figure, spread in _spreads(row):
             n_runs = f"{spread['n_runs']} runs" if "n_runs" in spread else ""
             bar = Bar(name, spread["median"], spread["min"], spread["max"], n_runs)
             found.setdefault(f"{FIGURES.get(figure, figure.replace('_', ' '))}{on}", []).append(bar)
     return found
+
+
+def _whole(rows: Sequence[Sequence[str]]) -> list[list[str]]:
+    """Return rows whose first cell is that of the row above where it is left empty: a sorted row stands alone."""
+    whole: list[list[str]] = []
+    for first, *rest in rows:
+        whole.append([first or (whole[-1][0] if whole else ""), *rest])
+    return whole
+
+
+def _stage(stage: Mapping[str, Any]) -> Bar:
+    median, p95 = stage["cpu_median_ms"], stage["cpu_p95_ms"]
+    return Bar(str(stage["stage"]), median, median, p95, f"in {stage['n_frames']} frames")
 
 
 def _spreads(row: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[str, Any]]]:
@@ -104,4 +128,4 @@ def _spreads(row: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[str, Any]]]:
 
 
 def _drawn(name: str, bars: Sequence[Bar]) -> list[Any]:
-    return [heading(name), charts.bars(bars, name, "median, least and largest", digits=4)] if bars else []
+    return [heading(name), charts.bars(bars, name, "median and range", digits=4)] if bars else []

@@ -33,7 +33,7 @@ class _Keeper(logging.Handler):
 
 @contextmanager
 def kept_warnings(warnings: list[str]) -> Iterator[None]:
-    """Add what the package warns of in the block, on whatever thread, to a list."""
+    """Add what the package warns of in the block, on whatever thread, to a list; of two runs at a time, of both."""
     logger, keeper = logging.getLogger(ALL_OF_IT), _Keeper(warnings)
     logger.addHandler(keeper)
     try:

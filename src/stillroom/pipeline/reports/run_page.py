@@ -42,14 +42,15 @@ def write_run_page(path: Path, out: Path | None = None) -> Path:
     """
     run = read_finished(path)
     file, album = out or run.folder / results.REPORT, Album()
-    frames, note = frame_pictures(run, album)  # after the maps on the page, and before them in what may be left out
+    maps = map_pictures(run, album)  # before the frames: these may be left out
+    frames, note = frame_pictures(run, album)
     under = [line for line in (str(run.how.get("date", "")).replace("T", " "), str(run.how.get("command", ""))) if line]
     sections = [
         Section("", [cards(_most_wanted(run)), warnings(_warnings(run))]),
         Section("Figures", _figures(run)),
         Section("Trajectory", _trajectory(run)),
         Section("Time of each stage", _stages(run)),
-        Section("Maps", map_pictures(run, album)),
+        Section("Maps", maps),
         Section("Frames", [gallery(frames), paragraphs([note] if note else [], "note")]),
         Section("Configuration", [folded(f"{results.CONFIG}, {run.method}", run.config_text)] if run.config else []),
         Section("How it came about", [_provenance(run.how)]),

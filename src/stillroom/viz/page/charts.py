@@ -14,6 +14,9 @@ TOOLS = "pan,box_zoom,wheel_zoom,reset,save"
 MOST_POINTS = 6000
 """A line with more points is thinned: a page stays small, and a screen shows no more."""
 
+MOST_STRETCHES = 200
+"""Stretches that are shaded, the longest: a browser draws each by itself."""
+
 ROW_PX = 26
 """Height of a bar with the air around it."""
 
@@ -219,7 +222,7 @@ def _shade(plot: Any, lost_s: Sequence[tuple[float, float]]) -> None:
     """Shade stretches of time without a pose."""
     from bokeh.models import BoxAnnotation
 
-    for begin_s, end_s in lost_s:
+    for begin_s, end_s in sorted(lost_s, key=lambda stretch: stretch[0] - stretch[1])[:MOST_STRETCHES]:
         plot.add_layout(
             BoxAnnotation(left=begin_s, right=end_s, fill_color=ESTIMATES[1], fill_alpha=0.12, line_color=None)
         )

@@ -138,6 +138,18 @@ def test_runs_without_truth_are_drawn_as_they_are(
     assert "Without ground truth" in ReadPage(compared.file).text
 
 
+def test_a_run_that_nothing_aligns_is_left_out_of_the_plan(
+    four: dict[str, Path], tmp_path: Path, drawn: dict[str, list[Any]]
+) -> None:
+    bare = shutil.copytree(four["orb-slam2"], tmp_path / "bare")
+    (bare / "groundtruth.tum").unlink()
+    compared = compare_runs([bare, four["oc-slam"]], tmp_path / "page.html")
+    [(paths, truth)] = drawn["plan_view"]
+    assert [path.name for path in paths] == ["oc-slam"]
+    assert truth is not None
+    assert "Not drawn, as nothing aligns it with the ground truth: orb-slam2." in ReadPage(compared.file).text
+
+
 def test_two_runs_at_least_and_results_only(four: dict[str, Path], tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="two runs at least"):
         compare_runs([four["oc-slam"]], tmp_path / "page.html")

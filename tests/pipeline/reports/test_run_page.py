@@ -183,6 +183,16 @@ def test_what_is_missing_is_said(copied: Path) -> None:
     assert "dense map" not in page.captions
 
 
+def test_figures_of_another_version_cost_only_what_is_not_in_them(copied: Path) -> None:
+    figures = metrics_of(copied)
+    figures["run"] = {"n_keyframes": 7}
+    (copied / "metrics.json").write_text(json.dumps(figures), encoding="utf-8")
+    page = ReadPage(write_run_page(copied))
+    assert "figures of the run itself: the file is damaged ('interrupted')" in page.text
+    assert figures["as_given"]["ate_se3_m"]["rmse"] in page.numbers
+    assert page.numbers[3] == 7
+
+
 def test_a_folder_with_its_poses_alone_has_a_page(copied: Path, tmp_path: Path) -> None:
     (tmp_path / "bare").mkdir()
     shutil.copy(copied / "trajectory.tum", tmp_path / "bare")

@@ -90,7 +90,7 @@ def _of_run(name: str) -> Callable[[Finished], float | None]:
 
 def _frame_ms(run: Finished) -> float | None:
     cost = run.run.get("frame_ms")
-    return float(cost["wall_median_ms"]) if cost else None
+    return float(cost["wall_median_ms"]) if cost and "wall_median_ms" in cost else None
 
 
 def _coverage(run: Finished) -> float | None:
@@ -193,12 +193,16 @@ def _sections(
     sequence: str, group: Sequence[Finished], names: Mapping[Path, str], album: Album, several: bool
 ) -> list[Section]:
     begin_s = min(run.begin_s for run in group)
-    paths = [path for run in group if (path := path_of(run, names[run.folder], begin_s)) is not None]
     best = max((run for run in group if run.error is not None), key=_n_compared, default=None)
+    drawn = [run for run in group if best is None or run.error is not None]
+    paths = [path for run in drawn if (path := path_of(run, names[run.folder], begin_s)) is not None]
     truth, on = None if best is None else truth_of(best, begin_s), f" on {sequence}" if several else ""
     ways: list[Any] = [charts.plan_view(paths, truth)] if paths else []
     if paths and truth is None:
         ways.append(paragraphs(["Without ground truth, each is in the frame of its own first image."], "note"))
+    others = [names[run.folder] for run in group if run not in drawn]
+    if others:
+        ways.append(paragraphs([f"Not drawn, as nothing aligns it with the ground truth: {', '.join(others)}."]))
     errors: list[Any] = []
     with_errors = [path for path in paths if path.errors_m is not None]
     if best is not None and best.error is not None:

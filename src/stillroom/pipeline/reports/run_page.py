@@ -6,6 +6,7 @@ from typing import Any
 
 from stillroom.evaluation.report import lines, percent
 from stillroom.pipeline import results, summary
+from stillroom.pipeline.reading import unless_missing
 from stillroom.pipeline.reports.blocks import (
     errors_table,
     frame_pictures,
@@ -44,17 +45,18 @@ def write_run_page(path: Path, out: Path | None = None) -> Path:
     file, album = out or run.folder / results.REPORT, Album()
     maps = map_pictures(run, album)  # before the frames: these may be left out
     frames, note = frame_pictures(run, album)
+    figures, missing = _figures(run)
     under = [line for line in (str(run.how.get("date", "")).replace("T", " "), str(run.how.get("command", ""))) if line]
     sections = [
         Section("", [cards(_most_wanted(run)), warnings(_warnings(run))]),
-        Section("Figures", _figures(run)),
+        Section("Figures", figures),
         Section("Trajectory", _trajectory(run)),
         Section("Time of each stage", _stages(run)),
         Section("Maps", maps),
         Section("Frames", [gallery(frames), paragraphs([note] if note else [], "note")]),
         Section("Configuration", [folded(f"{results.CONFIG}, {run.method}", run.config_text)] if run.config else []),
         Section("How it came about", [_provenance(run.how)]),
-        Section("Not in this report", [paragraphs(run.missing)]),
+        Section("Not in this report", [paragraphs([*run.missing, *missing])]),
     ]
     write_page(file, f"{run.method} on {run.sequence}", under, sections)
     return file
@@ -72,9 +74,9 @@ def _most_wanted(run: Finished) -> list[tuple[Number, str]]:
     coverage = (run.figures or {}).get("coverage")
     if coverage is not None:
         found.append((Number(percent(coverage), coverage), "of the frames tracked"))
-    cost = run.run.get("frame_ms")
-    if cost:
-        found.append((Number(f"{cost['wall_median_ms']:.1f} ms", cost["wall_median_ms"]), "a frame, median"))
+    frame_ms = (run.run.get("frame_ms") or {}).get("wall_median_ms")
+    if frame_ms is not None:
+        found.append((Number(f"{frame_ms:.1f} ms", frame_ms), "a frame, median"))
     if "n_keyframes" in run.run:
         found.append((Number(str(run.run["n_keyframes"]), run.run["n_keyframes"]), "keyframes"))
     return found
@@ -96,18 +98,28 @@ def _warnings(run: Finished) -> list[str]:
     return said
 
 
-def _figures(run: Finished) -> list[Any]:
-    figures = run.figures
+def _figures(run: Finished) -> tuple[list[Any], list[str]]:
+    """Return the figures, in the words of the printed summary, and what of them could not be read."""
+    figures, missing = run.figures, list[str]()
     if figures is None:
-        return []
+        return [], missing
     n_recorded = figures.get("n_given")
+    own = unless_missing("figures of the run itself", lambda: _own_sentences(run, n_recorded), missing) or []
+    if run.evaluation is not None:
+        return [errors_table(run.evaluation), paragraphs([*lines(run.evaluation), *own])], missing
+    why = summary.NO_TRUTH if run.truth is None else summary.TOO_LITTLE
+    return [paragraphs([summary.coverage(figures.get("n_tracked", 0), n_recorded, why), *own])], missing
+
+
+def _own_sentences(run: Finished, n_recorded: int | None) -> list[str]:
+    """Return what a run came to beside its errors.
+
+    Raises:
+        KeyError, TypeError: The figures are those of another version.
+    """
     n_given = None if n_recorded is None else n_recorded - run.run.get("n_unpaired", 0)
     live = run.run.get("live")
-    own = summary.sentences(run.run, n_given, bool(live and live["n_images_seen_by_network"])) if run.run else []
-    if run.evaluation is not None:
-        return [errors_table(run.evaluation), paragraphs([*lines(run.evaluation), *own])]
-    why = summary.NO_TRUTH if run.truth is None else summary.TOO_LITTLE
-    return [paragraphs([summary.coverage(figures.get("n_tracked", 0), n_recorded, why), *own])]
+    return summary.sentences(run.run, n_given, bool(live and live["n_images_seen_by_network"])) if run.run else []
 
 
 def _trajectory(run: Finished) -> list[Any]:

@@ -113,4 +113,8 @@ def gallery(figures: Iterable[str], in_a_row: int = 3) -> str:
 def _shown(cell: Cell) -> str:
     if isinstance(cell, str):
         return escape(cell)
-    return escape(cell.text) if cell.value is None else f'<data value="{cell.value!r}">{escape(cell.text)}</data>'
+    return (
+        escape(cell.text)
+        if cell.value is None
+        else f'<data value="{escape(repr(cell.value))}">{escape(cell.text)}</data>'
+    )

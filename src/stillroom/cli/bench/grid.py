@@ -29,38 +29,40 @@ from stillroom.stopping import INTERRUPTED
 FILE = "grid.toml"
 
 
+GridFile = Annotated[
+    Path | None, typer.Argument(metavar="[FILE]", help="A grid as TOML, such as the grid.toml of an earlier one.")
+]
+Seeds = Annotated[str | None, typer.Option(metavar="A,B|A:B", help="Seeds, such as 0,1,2 or 0:3.")]
+Vary = Annotated[
+    list[str] | None,
+    typer.Option(metavar="KEY=A,B", help="Run each with each value, such as tracking.min_inliers=20,30; repeatable."),
+]
+Folder = Annotated[
+    Path | None,
+    typer.Option(metavar="DIR", help="Write into this folder, and go on where it stopped. \\[default: a new one]"),
+]
+Jobs = Annotated[int | None, typer.Option(min=1, metavar="N", help="Worker processes. \\[default: one for each core]")]
+Backend = Annotated[str | None, typer.Option(metavar="NAME", help="joblib, or dask://HOST:PORT. \\[default: joblib]")]
+Memory = Annotated[float | None, typer.Option("--memory-gb", metavar="N", help="Memory that a worker may hold [GB].")]
+DryRun = Annotated[
+    bool, typer.Option("--dry-run", help="Only say how many runs there are, how long they take, and what memory.")
+]
+
+
 def grid(
-    file: Annotated[
-        Path | None, typer.Argument(metavar="[FILE]", help="A grid as TOML, such as the grid.toml of an earlier one.")
-    ] = None,
+    file: GridFile = None,
     sequences: Annotated[str | None, typer.Option(metavar="A,B", help="Sequences, as for run.")] = None,
     methods: Annotated[str | None, typer.Option(metavar="A,B", help="Methods, or all.")] = None,
-    seeds: Annotated[str | None, typer.Option(metavar="A,B|A:B", help="Seeds, such as 0,1,2 or 0:3.")] = None,
+    seeds: Seeds = None,
     settings: Settings = None,
-    vary: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="KEY=A,B", help="Run each with each value, such as tracking.min_inliers=20,30; repeatable."
-        ),
-    ] = None,
+    vary: Vary = None,
     frames: Frames = None,
     camera: Camera = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help="Write into this folder, and go on where it stopped. \\[default: a new one]"),
-    ] = None,
-    jobs: Annotated[
-        int | None, typer.Option(min=1, metavar="N", help="Worker processes. \\[default: one for each core]")
-    ] = None,
-    backend: Annotated[
-        str | None, typer.Option(metavar="NAME", help="joblib, or dask://HOST:PORT. \\[default: joblib]")
-    ] = None,
-    memory_gb: Annotated[
-        float | None, typer.Option("--memory-gb", metavar="N", help="Memory that a worker may hold [GB].")
-    ] = None,
-    dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Only say how many runs there are, how long they take, and what memory.")
-    ] = False,
+    out: Folder = None,
+    jobs: Jobs = None,
+    backend: Backend = None,
+    memory_gb: Memory = None,
+    dry_run: DryRun = False,
     retry: Annotated[bool, typer.Option("--retry", help="Make runs again that failed.")] = False,
 ) -> None:
     """Run each method on each sequence with each seed and setting, several at a time; one row for each run.

@@ -13,6 +13,7 @@ from stillroom.cli.bench.grid import read_seeds, split_sequences
 from stillroom.datasets.camera_file import write_camera
 from stillroom.datasets.open import open_dataset
 from stillroom.errors import ConfigError
+from stillroom.version import __version__
 
 ROOM = "synthetic:walking,frames=60,cache=off"
 SMALL = Grid((ROOM,), ("orb-slam2", "oc-slam"), (0, 1), frames="0:20", vary=("tracking.min_inliers=20,30",))
@@ -68,9 +69,25 @@ def test_what_decides_a_result_changes_every_digest(change: dict[str, tuple[str,
 
 def test_another_version_of_stillroom_changes_every_digest(monkeypatch: pytest.MonkeyPatch) -> None:
     before = digests(SMALL)
-    monkeypatch.setattr(axes, "__version__", "99.0")
+    monkeypatch.setattr(axes, "code_version", lambda: "99.0 abc")
     assert not set(before) & set(digests(SMALL))
-    assert plan(SMALL).runs[0].version.startswith("99.0")
+    assert plan(SMALL).runs[0].version == "99.0 abc"
+
+
+def test_the_version_tells_of_every_change_of_the_sources(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for package, name in (("stillroom", "system"), ("stillroom_scenes", "raster"), ("stillroom_train", "learner")):
+        (tmp_path / package / "room").mkdir(parents=True)
+        (tmp_path / package / "room" / f"{name}.py").write_text("a = 1\n", encoding="utf-8")
+    monkeypatch.setattr(axes, "__file__", str(tmp_path / "stillroom" / "bench" / "grid" / "axes.py"))
+    version = axes.code_version.__wrapped__
+    found = [version()]
+    for package, name in (("stillroom", "system"), ("stillroom_scenes", "raster")):
+        (tmp_path / package / "room" / f"{name}.py").write_text("a = 2\n", encoding="utf-8")
+        found.append(version())
+    (tmp_path / "stillroom_train" / "room" / "learner.py").write_text("a = 2\n", encoding="utf-8")
+    assert version() == found[-1]
+    assert len(set(found)) == 3
+    assert all(one.startswith(f"{__version__} ") for one in found)
 
 
 def test_another_calibration_or_ground_truth_changes_the_digest(tmp_path: Path) -> None:

@@ -21,11 +21,15 @@ from stillroom.errors import ConfigError, StillroomError
 from stillroom.pipeline import Source
 from stillroom.presets.registry import DEFAULT, all_methods, configure
 from stillroom.protocols import Dataset
-from stillroom.session.provenance import provenance, source_commit
+from stillroom.session.provenance import provenance
 from stillroom.version import __version__
 
 JOBLIB, DASK = "joblib", "dask://"
 ALL = "all"
+PACKAGES = "stillroom", "stillroom_scenes"
+"""Packages whose sources decide results: the core, and the renderer, which lies beside it."""
+DECIDING = {".py", ".onnx", ".vocabulary"}
+"""Suffixes of the files in them that do: sources, networks, vocabularies."""
 PLACE_OF_AXES = {"method": "methods", "seed": "seeds"}
 """Keys of a config that are axes of their own, and the axes."""
 
@@ -89,7 +93,7 @@ class PlannedRun:
         settings: All settings, `key=value`, the varied ones among them.
         seed: The seed.
         digest: Identifies all that decides its result.
-        version: The version of Stillroom that the digest is of, with the commit where it is run from a checkout.
+        version: The version of Stillroom, and a digest of its sources; see `code_version`.
         n_frames: Frames of the sequence; 0 where it cannot be opened here.
     """
 
@@ -169,10 +173,14 @@ def plan(grid: Grid) -> Plan:
     return Plan(tuple(runs), any(one.is_rendered for one in opened.values()))
 
 
+@functools.cache
 def code_version() -> str:
-    """Return the version of Stillroom, with the commit, and "+changes", where it is run from a checkout."""
-    commit, plus, changes = source_commit(Path(__file__).parents[2]).partition("+")
-    return f"{__version__} {commit[:12]}{plus}{changes}".strip()
+    """Return the version of Stillroom, and the first digits of a digest of its sources and of what comes with them."""
+    digest, packages = hashlib.sha256(), Path(__file__).parents[3]
+    for package in PACKAGES:
+        for path in sorted(path for path in (packages / package).rglob("*") if path.suffix in DECIDING):
+            digest.update(f"{path.relative_to(packages).as_posix()}\n".encode() + path.read_bytes())
+    return f"{__version__} {digest.hexdigest()[:12]}"
 
 
 def split_values(text: str) -> list[str]:

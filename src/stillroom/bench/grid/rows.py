@@ -48,7 +48,7 @@ class Row:
         rpe_m_s, rpe_deg_s: RPE RMSE over 1 s [m/s, deg/s].
         error: Why it failed, in one line; "" where it did not.
         digest: Identifies the run; see `PlannedRun`.
-        version: The version of Stillroom.
+        version: The version of Stillroom, and a digest of its sources.
         cost: What it cost.
     """
 

@@ -39,6 +39,11 @@ def test_a_grid_is_the_product_of_its_axes_in_order() -> None:
     ]
 
 
+def test_what_is_the_default_is_the_same_run_as_the_default() -> None:
+    usual = replace(SMALL, vary=())
+    assert digests(replace(SMALL, vary=("tracking.min_inliers=30",))) == digests(usual)
+
+
 def test_two_varied_settings_are_two_axes() -> None:
     grid = replace(SMALL, methods=("orb-slam2",), seeds=(0,), vary=("tracking.min_inliers=20,30", "loops.enabled=true"))
     assert [run.setting for run in plan(grid).runs] == [

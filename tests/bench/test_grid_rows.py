@@ -111,6 +111,13 @@ def test_the_table_is_in_the_grid_s_order_with_costs_last(tmp_path: Path) -> Non
     assert float(body[1][header.index("cost_seconds")]) == 0.5
 
 
+def test_a_row_bears_the_setting_of_the_grid_that_asks_for_it() -> None:
+    """What one grid varies may be the default of another: it is the same run."""
+    varied = replace(RUNS[0], varied=("tracking.min_inliers=30",))
+    (row,) = in_order([varied], [row_of(RUNS[0])])
+    assert row == replace(row_of(RUNS[0]), setting="tracking.min_inliers=30")
+
+
 def test_a_failed_run_has_no_figures_and_its_error_on_one_line() -> None:
     row = Row.failed(RUNS[0], "it broke\n  here", COST)
     assert row.error == "it broke here"

@@ -72,9 +72,9 @@ def test_what_goes_wrong_in_a_run_is_its_row(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_a_worker_of_another_version_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(work, "__version__", "0.0.7")
+    monkeypatch.setattr(work, "code_version", lambda: "0.0.7 abc")
     (run,) = plan(Grid(("synthetic:walking,frames=9,cache=off",), ("orb-slam2",))).runs
-    assert perform(run).error == f"this worker has Stillroom 0.0.7, the grid {__version__}; install one version on all"
+    assert perform(run).error.startswith(f"this worker has Stillroom 0.0.7 abc, the grid {__version__} ")
 
 
 def test_memory_beyond_the_bound_is_refused_and_the_bound_is_lifted() -> None:

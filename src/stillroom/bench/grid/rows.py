@@ -4,7 +4,7 @@ import csv
 import json
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from io import StringIO
 from pathlib import Path
 from types import TracebackType
@@ -215,9 +215,12 @@ class RowFile:
 
 
 def in_order(runs: Sequence[PlannedRun], rows: Iterable[Row]) -> list[Row]:
-    """Return the rows of a grid's runs in the grid's order; of several rows of one run, the last."""
+    """Return the rows of a grid's runs in the grid's order; of several rows of one run, the last.
+
+    Another grid may have come to the same run by another setting, such as by what is the default here.
+    """
     newest = {row.digest: row for row in rows}
-    return [newest[run.digest] for run in runs if run.digest in newest]
+    return [replace(newest[run.digest], setting=run.setting) for run in runs if run.digest in newest]
 
 
 def write_table(path: Path, rows: Iterable[Row]) -> None:

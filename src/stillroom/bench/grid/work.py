@@ -2,22 +2,20 @@
 
 import logging
 import os
-import signal
 import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from math import isnan
 from pathlib import Path
 
-from stillroom.bench.grid.axes import PlannedRun
+from stillroom.bench.grid.axes import PlannedRun, code_version
 from stillroom.bench.grid.rows import Cost, Row
 from stillroom.bench.trial import Trial, attempt
 from stillroom.errors import NO_MEMORY, StillroomError, is_of_memory
 from stillroom.evaluation.timing import PROCESS_STATUS, peak_memory_mb
 from stillroom.pipeline import Source
-from stillroom.version import __version__
 
 PEAK_RESET = Path("/proc/self/clear_refs")
 """Where Linux lets a process begin to measure its peak of memory anew."""
@@ -52,9 +50,9 @@ def perform(run: PlannedRun) -> Row:
 
 
 def _trial(run: PlannedRun) -> Trial:
-    theirs = run.version.split()[0]
-    if theirs != __version__:
-        raise StillroomError(f"this worker has Stillroom {__version__}, the grid {theirs}; install one version on all")
+    ours = code_version()
+    if ours != run.version:
+        raise StillroomError(f"this worker has Stillroom {ours}, the grid {run.version}; install the same on all")
     try:
         dataset = Source(run.sequence, run.camera, frames=run.frames).open()
         return attempt(dataset, run.config, run.seed)
@@ -81,7 +79,7 @@ def begin_worker(parent: int) -> None:
     def watch() -> None:
         while os.getppid() == parent:
             time.sleep(PARENT_ASKED_EVERY_S)
-        os.kill(os.getpid(), signal.SIGKILL)
+        os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
 
@@ -95,14 +93,15 @@ def perform_marked(run: PlannedRun, begun: Path, memory_gb: float | None) -> Row
         memory_gb: How much memory the process may hold [GB].
     """
     mark = begun / run.digest
-    mark.touch()
+    with suppress(OSError):
+        mark.touch()
     try:
         with bounded_memory(memory_gb):
             row = perform(run)
     except KeyboardInterrupt:  # SIGTERM, of which the run makes this: somebody wants this one process to end
-        os.kill(os.getpid(), signal.SIGKILL)
-        raise
-    mark.unlink()
+        os._exit(1)
+    with suppress(OSError):
+        mark.unlink()
     return row
 
 

@@ -86,6 +86,7 @@ def _here(runs: Sequence[PlannedRun], grid: Grid, begun: Path) -> Generator[Row,
                 yield dataclasses.replace(row, cost=dataclasses.replace(row.cost, attempts=2))
             _empty(begun)
     finally:
+        _end_workers()
         shutil.rmtree(begun, ignore_errors=True)
 
 
@@ -110,6 +111,13 @@ def _side_by_side(
         yield from parallel(delayed(perform_marked)(run, begun, memory_gb) for run in runs)
     except TerminatedWorkerError:
         return
+
+
+def _end_workers() -> None:
+    """End the processes that joblib keeps for a next call, and the memory that they hold."""
+    from joblib.externals.loky import get_reusable_executor
+
+    get_reusable_executor().shutdown(wait=True, kill_workers=True)
 
 
 def _empty(folder: Path) -> None:
@@ -153,7 +161,7 @@ def _row_of(future: Any, run: PlannedRun, address: str) -> Row:
     if future.status == "finished":
         row: Row = future.result()
         return row
-    if future.status == "cancelled":
+    if future.status != "error":
         raise StillroomError(f"{DASK}{address}: the scheduler is gone; begin again to go on where the grid was")
     error = future.exception()
     return Row.failed(run, DIED if _died(future) else f"{type(error).__name__}: {error}", Cost())

@@ -138,7 +138,7 @@ def _folder(out: Path | None) -> Path:
 def _left(planned: Plan, rows: Sequence[Row], retry: bool) -> list[PlannedRun]:
     """Return the runs that have no row yet; with `retry`, those that failed too."""
     done = {row.digest for row in in_order(planned.runs, rows) if not (retry and row.error)}
-    return [run for run in planned.runs if run.digest not in done]
+    return list({run.digest: run for run in planned.runs if run.digest not in done}.values())
 
 
 def _run(grid: Grid, planned: Plan, folder: Path, retry: bool) -> None:

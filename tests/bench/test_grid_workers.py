@@ -87,6 +87,16 @@ def test_memory_beyond_the_bound_is_refused_and_the_bound_is_lifted() -> None:
         assert len(np.zeros(n_bytes, dtype=np.uint8)) == n_bytes
 
 
+def test_a_scheduler_that_is_gone_ends_the_grid_in_one_line() -> None:
+    """Nothing is wrong with the runs: they are made when the grid goes on."""
+
+    class Future:
+        status = "cancelled"
+
+    with pytest.raises(StillroomError, match="the scheduler is gone; begin again to go on"):
+        workers._row_of(Future(), planned(0), "here:8786")
+
+
 @pytest.mark.parametrize(
     ("grid", "says"),
     [

@@ -17,11 +17,12 @@ from typer.testing import CliRunner, Result
 
 from stillroom.bench.grid import workers
 from stillroom.bench.grid.axes import Grid
-from stillroom.bench.grid.rows import Cost, RowFile
+from stillroom.bench.grid.rows import Cost, RowFile, read_rows
+from stillroom.bench.grid.work import can_bound_memory
 from stillroom.bench.grid.workers import DIED, finished
 from stillroom.bench.trial import attempt
 from stillroom.cli.bench import app
-from stillroom.errors import ConfigError, MissingExtraError, StillroomError
+from stillroom.errors import NO_MEMORY, ConfigError, MissingExtraError, StillroomError
 from stillroom.pipeline import Source
 from stillroom.presets.registry import configure
 
@@ -298,6 +299,17 @@ def test_runs_that_failed_are_made_again_where_that_is_asked_for(tmp_path: Path)
         assert bench(*options, *more).exit_code == 0
         assert len(lines(tmp_path)) == n
         assert len(table(tmp_path).splitlines()) == 2
+
+
+@pytest.mark.skipif(not can_bound_memory(), reason="only Linux bounds the memory of a process")
+def test_a_run_that_wants_more_memory_than_its_worker_may_hold_is_a_row(tmp_path: Path) -> None:
+    options = ["--sequences", "synthetic:walking", "--methods", "orb-slam2", "--frames", "0:12", "--out", tmp_path]
+    assert bench(*options, "--jobs", 1, "--memory-gb", 0.01).exit_code == 0
+    (row,) = read_rows(tmp_path / "rows.jsonl")[0]
+    assert row.error == NO_MEMORY
+    assert row.cost.attempts == 1
+    assert bench(*options, "--jobs", 1, "--memory-gb", 4.0, "--retry").exit_code == 0
+    assert read_rows(tmp_path / "rows.jsonl")[0][-1].n_given == 12
 
 
 @pytest.mark.parametrize(

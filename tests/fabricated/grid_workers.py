@@ -30,7 +30,7 @@ def tries(folder: Path) -> list[int]:
 
 
 def _dying(folder: Path) -> Callable[[PlannedRun], Row]:
-    def perform(run: PlannedRun) -> Row:
+    def perform(run: PlannedRun, memory_gb: float | None = None) -> Row:
         before = tries(folder)
         with (folder / "tries").open("a", encoding="utf-8") as file:
             file.write(f"{run.seed}\n")

@@ -25,8 +25,12 @@ _SILENT = logging.NullHandler()
 _one_at_a_time = threading.Lock()
 
 
-def perform(run: PlannedRun) -> Row:
+def perform(run: PlannedRun, memory_gb: float | None = None) -> Row:
     """Make a run. What goes wrong in it is the row's error; in a process with several threads runs take turns.
+
+    Args:
+        run: The run.
+        memory_gb: How much memory the process may hold in it [GB]; see `bounded_memory`.
 
     Raises:
         KeyboardInterrupt: The process was asked to end.
@@ -37,7 +41,7 @@ def perform(run: PlannedRun) -> Row:
         start_s = time.perf_counter()
         trial, why = None, ""
         try:
-            trial = _trial(run)
+            trial = _trial(run, memory_gb)
         except StillroomError as error:
             why = str(error)
         peak_mb = peak_memory_mb()
@@ -49,13 +53,14 @@ def perform(run: PlannedRun) -> Row:
         return Row.failed(run, why, cost) if trial is None else Row.of(run, trial, cost)
 
 
-def _trial(run: PlannedRun) -> Trial:
+def _trial(run: PlannedRun, memory_gb: float | None) -> Trial:
     ours = code_version()
     if ours != run.version:
         raise StillroomError(f"this worker has Stillroom {ours}, the grid {run.version}; install the same on all")
     try:
-        dataset = Source(run.sequence, run.camera, frames=run.frames).open()
-        return attempt(dataset, run.config, run.seed)
+        with bounded_memory(memory_gb):
+            dataset = Source(run.sequence, run.camera, frames=run.frames).open()
+            return attempt(dataset, run.config, run.seed)
     except StillroomError:
         raise
     except Exception as error:  # a bug in one run does not end the others
@@ -96,8 +101,7 @@ def perform_marked(run: PlannedRun, begun: Path, memory_gb: float | None) -> Row
     with suppress(OSError):
         mark.touch()
     try:
-        with bounded_memory(memory_gb):
-            row = perform(run)
+        row = perform(run, memory_gb)
     except KeyboardInterrupt:  # SIGTERM, of which the run makes this: somebody wants this one process to end
         os._exit(1)
     with suppress(OSError):

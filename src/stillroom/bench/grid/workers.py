@@ -1,9 +1,11 @@
 """Who runs a grid: worker processes of this machine through joblib, or a Dask cluster."""
 
 import dataclasses
+import logging
 import os
 import shutil
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -137,7 +139,7 @@ def _on_cluster(runs: Sequence[PlannedRun], address: str) -> Generator[Row, None
         raise StillroomError(
             f"{DASK}{address}: no scheduler answers there ({error}); start one with 'dask scheduler'"
         ) from error
-    with client:
+    with client, _silent_client():
         futures = {client.submit(perform, run, pure=False): run for run in runs}
         again: set[str] = set()
         try:
@@ -155,6 +157,18 @@ def _on_cluster(runs: Sequence[PlannedRun], address: str) -> Generator[Row, None
                 yield dataclasses.replace(row, cost=dataclasses.replace(row.cost, attempts=attempts))
         finally:
             client.cancel(list(futures))
+
+
+@contextmanager
+def _silent_client() -> Iterator[None]:
+    """Keep Dask from logging in many lines that the scheduler is gone, which is said here in one."""
+    logger = logging.getLogger("distributed.client")
+    before = logger.level
+    logger.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        logger.setLevel(before)
 
 
 def _row_of(future: Any, run: PlannedRun, address: str) -> Row:

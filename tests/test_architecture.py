@@ -56,6 +56,7 @@ MAX_FILE_LINES = 450
 MAX_FUNCTION_LINES = 60
 BANNED_NAMES = {"utils", "helpers", "common", "misc"}
 HEAVY = {"onnxruntime", "onnx", "rerun", "torch", "matplotlib", "bokeh", "rosbags", "pyrealsense2", "depthai", "scipy"}
+HEAVY |= {"joblib", "dask", "distributed"}
 DECORATORS = {"jit", "njit", "vectorize", "guvectorize", "stencil", "cfunc"}
 KERNELS_ARE_DECORATED_IN = "stillroom/compiled.py"
 PRINTING_ROOMS = {"cli"}

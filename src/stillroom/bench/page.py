@@ -7,8 +7,9 @@ from typing import Any
 
 from stillroom.viz.page import charts
 from stillroom.viz.page.charts import Bar
-from stillroom.viz.page.markup import folded, heading, paragraphs
+from stillroom.viz.page.markup import folded, gallery, heading, paragraphs
 from stillroom.viz.page.page import Section, write_page
+from stillroom.viz.page.pictures import Album
 from stillroom.viz.page.tables import sortable_table
 
 SPREAD = {"median", "min", "max"}
@@ -47,7 +48,12 @@ class NamedTable:
 
 
 def write_bench_page(
-    path: Path, title: str, tables: Sequence[NamedTable], series: Mapping[str, Sequence[Bar]], how: Mapping[str, Any]
+    path: Path,
+    title: str,
+    tables: Sequence[NamedTable],
+    series: Mapping[str, Sequence[Bar]],
+    how: Mapping[str, Any],
+    pictures: Sequence[tuple[Path, str]] = (),
 ) -> None:
     """Write the page of a bench.
 
@@ -57,6 +63,7 @@ def write_bench_page(
         tables: As they are printed, in order.
         series: By what they measure, bars; see `series_of`.
         how: How the figures came about, as `provenance` gives it.
+        pictures: PNG files to show, each with its caption.
 
     Raises:
         StillroomError: The file cannot be written.
@@ -75,6 +82,8 @@ def write_bench_page(
     drawn = [block for name, bars in series.items() for block in _drawn(name, bars)]
     if drawn:
         sections.append(Section("Figures", [*drawn, paragraphs([NOTE], "note")]))
+    album = Album()
+    sections.append(Section("Pictures", [gallery([album.figure(*one) for one in pictures], in_a_row=1)]))
     lines = [f"{name}: {value}" for name, value in how.items() if not isinstance(value, Mapping)]
     lines += [f"{part} {value}" for one in how.values() if isinstance(one, Mapping) for part, value in one.items()]
     sections.append(Section("How it came about", [folded("versions, commit, command", "\n".join(lines))]))

@@ -10,6 +10,7 @@ from stillroom.config import SlamConfig
 from stillroom.data.image import RgbdImage
 from stillroom.data.result import FrameSummary
 from stillroom.data.semantics import Semantics
+from stillroom.data.trajectory import Trajectory
 from stillroom.dense.no_dense_map import NoDenseMapConfig
 from stillroom.evaluation.report import Evaluation, percent
 from stillroom.evaluation.smoothness import Smoothness
@@ -74,6 +75,9 @@ class Trial:
         kept: Keypoints judged static in each of the frames behind `boxed`, by the frame's number.
         n_keyframes: Keyframes that were made, those culled later among them.
         live: Figures of the live schedule; None for a run in order.
+        trajectory: The final poses.
+        n_loops: Loops that are closed in the final map.
+        n_jumps: How often a loop, one that was undone too, or a merge of sub-maps moved the map.
     """
 
     seed: int
@@ -87,6 +91,9 @@ class Trial:
     kept: Mapping[int, int] = field(default_factory=dict)
     n_keyframes: int = 0
     live: LiveFigures | None = None
+    trajectory: Trajectory | None = field(default=None, repr=False)
+    n_loops: int = 0
+    n_jumps: int = 0
 
     @property
     def coverage(self) -> float:
@@ -113,6 +120,11 @@ class Trial:
     def frame_cpu_ms(self) -> float:
         """What a whole frame cost on average, network and mapping included, images read before [ms of CPU]."""
         return next((stage.cpu_mean_ms for stage in self.clock.summary() if stage.stage == FRAME), 0.0)
+
+    @property
+    def frame_wall_ms(self) -> float:
+        """The same in wall time [ms]."""
+        return next((stage.wall_mean_ms for stage in self.clock.summary() if stage.stage == FRAME), 0.0)
 
     def line(self) -> str:
         """Return the run in one line."""
@@ -194,6 +206,9 @@ def attempt(
         kept={result.index: result.n_static for result in boxed},
         n_keyframes=sum(result.is_keyframe for result in outcome.system.results),
         live=outcome.live,
+        trajectory=outcome.system.trajectory(),
+        n_loops=len(outcome.system.map.loop_edges),
+        n_jumps=len(outcome.system.map.jumps),
     )
 
 

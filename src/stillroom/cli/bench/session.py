@@ -56,6 +56,7 @@ class Bench:
         self._tables: list[NamedTable] = []
         self._out = out or Path("results") / f"{datetime.now():%Y-%m-%d_%H-%M-%S}_bench-{kind}.json"
         self._rows: list[dict[str, Any]] = []
+        self._writes_all = False
         self.bar = FrameBar(STDERR)
         self._stopped = False
 
@@ -99,12 +100,17 @@ class Bench:
         return measure
 
     def print_table(
-        self, title: str, header: Sequence[str], rows: Iterable[Sequence[str]], notes: Sequence[str] = ()
+        self,
+        title: str,
+        header: Sequence[str],
+        rows: Iterable[Sequence[str]],
+        notes: Sequence[str] = (),
+        n_words: int = 1,
     ) -> None:
         """Print rows under a title, and sentences below them; they are kept for the page and for `--table`."""
-        table = NamedTable(title, header, list(rows), notes=notes)
+        table = NamedTable(title, header, list(rows), n_words, notes)
         print_lines(["", title])
-        print_table(header, table.rows)
+        print_table(header, table.rows, n_words)
         print_lines(notes)
         self._tables.append(table)
 
@@ -112,9 +118,17 @@ class Bench:
         """Keep figures for the file."""
         self._rows += rows
 
-    def finish(self) -> None:
-        """Write the file, the page and the tables; leave with an error where the user stopped it."""
-        if self._rows:
+    def write_to(self, file: Path) -> None:
+        """Write the figures to this file, even where nothing was run: its tables then say so."""
+        self._out, self._writes_all = file, True
+
+    def finish(self, pictures: Sequence[tuple[Path, str]] = ()) -> None:
+        """Write the file, the page and the tables; leave with an error where the user stopped it.
+
+        Args:
+            pictures: PNG files that the page shows, each with its caption.
+        """
+        if self._rows or self._writes_all:
             how = provenance()
             content = {"bench": self._kind, "rows": self._rows, "run": how}
             _write(self._out, json.dumps(content, indent=2) + "\n")
@@ -122,7 +136,8 @@ class Bench:
             self._write_tables()
             page = self._out.with_suffix(".html")
             with ending_nothing("the page is left out"):
-                write_bench_page(page, f"stillroom bench {self._kind}", self._tables, series_of(self._rows), how)
+                title, series = f"stillroom bench {self._kind}", series_of(self._rows)
+                write_bench_page(page, title, self._tables, series, how, pictures)
                 print_lines([f"page: {page}"])
         if self._stopped:
             say("stopped; what was not finished is left out")

@@ -1,5 +1,6 @@
 """The dense map of a run, made twice in one pass: with and without removing dynamic points."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -8,6 +9,7 @@ import numpy as np
 from stillroom.bounds import in_pixels_of
 from stillroom.config import SlamConfig
 from stillroom.data.dense_cloud import DenseCloud
+from stillroom.data.map import submaps
 from stillroom.data.result import FrameResult, Tracked
 from stillroom.data.semantics import Semantics
 from stillroom.dense.dense_mapper import DenseMapper, DenseMapperConfig
@@ -31,7 +33,7 @@ from stillroom.geometry import se3
 from stillroom.geometry.align import align_poses
 from stillroom.geometry.arrays import F64, Floats
 from stillroom.pipeline import SILENT, RunProgress
-from stillroom.protocols import Dataset, Parts, RenderedDataset
+from stillroom.protocols import Dataset, Parts, RenderedDataset, RunObserver
 from stillroom.session.slam import Slam
 from stillroom.system import System
 
@@ -54,15 +56,22 @@ class DenseMaps:
         clouds: The maps by how dynamic points were treated, `WITH_REMOVAL` and `WITHOUT_REMOVAL`.
         T_world_cam: The final pose (4, 4) of each tracked image, by its number.
         n_given: Images that the run was given.
+        points_m: The points of the sparse map (P, 3) [m, world], those of the main sub-map.
     """
 
     clouds: dict[str, DenseCloud]
     T_world_cam: dict[int, F64] = field(repr=False)
     n_given: int
+    points_m: F64 = field(default_factory=lambda: np.zeros((0, 3)), repr=False)
 
 
 def dense_maps(
-    dataset: Dataset, config: SlamConfig, dense: DenseMapperConfig, mapped: range, progress: RunProgress = SILENT
+    dataset: Dataset,
+    config: SlamConfig,
+    dense: DenseMapperConfig,
+    mapped: range,
+    progress: RunProgress = SILENT,
+    observers: Sequence[RunObserver] = (),
 ) -> DenseMaps:
     """Run a method over a sequence and map some of its images.
 
@@ -74,13 +83,14 @@ def dense_maps(
         dense: The dense map.
         mapped: Numbers of the images that the maps are made of, and carved with; no other ever touches them.
         progress: Called for each frame.
+        observers: Called with each frame too.
 
     Raises:
         KeyboardInterrupt: The user stopped it: half a map has no figures to compare.
         StillroomError: Something that the run needs is wrong; a single image that cannot be read is not.
     """
     mapping = _Twins(mapped)
-    slam = Slam(replace(config, dense=NoDenseMapConfig()), dataset.camera, observers=[mapping])
+    slam = Slam(replace(config, dense=NoDenseMapConfig()), dataset.camera, observers=[mapping, *observers])
     system = slam.system
     for name, removal in ((WITH_REMOVAL, True), (WITHOUT_REMOVAL, False)):
         one = replace(dense, carving=replace(dense.carving, removal=removal))
@@ -94,7 +104,7 @@ def dense_maps(
     for mapper in mapping.mappers.values():
         mapper.refresh()
     clouds = {name: mapper.cloud() for name, mapper in mapping.mappers.items()}
-    return DenseMaps(clouds, _final_poses(system), len(dataset))
+    return DenseMaps(clouds, _final_poses(system), len(dataset), _sparse_points(system))
 
 
 class _Twins:
@@ -131,6 +141,12 @@ def _final_poses(system: System) -> dict[int, F64]:
         for result in system.results
         if result.T_reference_cam is not None
     }
+
+
+def _sparse_points(system: System) -> F64:
+    ids = np.flatnonzero(system.map.points.is_alive)
+    in_main = submaps.of_points(ids, system.map) == system.main_submap
+    return np.asarray(system.map.points.position_m[ids[in_main]], dtype=np.float64)
 
 
 # The figures of one dense map.

@@ -30,9 +30,9 @@ def plot_from_above(path: Path, estimates: Mapping[str, Trajectory], groundtruth
         axes = figure.add_subplot()
         _, true_m = with_breaks(groundtruth.timestamps_s, groundtruth.positions_m)
         axes.plot(true_m[:, across], true_m[:, up], color=TRUTH, lw=1.4, label="ground truth")
-        for (name, trajectory), color in zip(estimates.items(), _colors(), strict=False):
+        for (name, trajectory), (color, dashes) in zip(estimates.items(), _lines(), strict=False):
             _, positions_m = with_breaks(trajectory.timestamps_s, trajectory.positions_m)
-            axes.plot(positions_m[:, across], positions_m[:, up], color=color, label=name)
+            axes.plot(positions_m[:, across], positions_m[:, up], color=color, ls=dashes, label=name)
         start_m = groundtruth.positions_m[0]
         axes.plot(start_m[across], start_m[up], "o", ms=7, mfc="white", mec=TRUTH, mew=1.4, zorder=5, label="start")
         axes.set(xlabel=f"{AXES[across]} [m]", ylabel=f"{AXES[up]} [m]", title=title)
@@ -48,9 +48,9 @@ def plot_over_time(path: Path, estimates: Mapping[str, Trajectory], groundtruth:
         for axis, panel in enumerate(panels):
             times_s, true_m = with_breaks(groundtruth.timestamps_s, groundtruth.positions_m)
             panel.plot(times_s - start_s, true_m[:, axis], color=TRUTH, lw=1.4, label="ground truth")
-            for (name, trajectory), color in zip(estimates.items(), _colors(), strict=False):
+            for (name, trajectory), (color, dashes) in zip(estimates.items(), _lines(), strict=False):
                 times_s, positions_m = with_breaks(trajectory.timestamps_s, trajectory.positions_m)
-                panel.plot(times_s - start_s, positions_m[:, axis], color=color, label=name)
+                panel.plot(times_s - start_s, positions_m[:, axis], color=color, ls=dashes, label=name)
             panel.set_ylabel(f"{AXES[axis]} [m]")
         panels[0].set_title(title)
         panels[-1].set_xlabel("time [s]")
@@ -75,9 +75,9 @@ def plot_error(
     start_s = min(float(times_s[0]) for times_s, _ in errors.values())
     with picture(path, 9.0, 3.8) as figure:
         axes = figure.add_subplot()
-        for (name, (times_s, errors_m)), color in zip(errors.items(), _colors(), strict=False):
+        for (name, (times_s, errors_m)), (color, dashes) in zip(errors.items(), _lines(), strict=False):
             shown_s, shown_m = with_breaks(times_s, errors_m[:, None])
-            axes.plot(shown_s - start_s, shown_m[:, 0], color=color, label=name)
+            axes.plot(shown_s - start_s, shown_m[:, 0], color=color, ls=dashes, label=name)
         if still_camera_m is not None:
             label = f"static-pose baseline ({still_camera_m:.3f} m)"
             axes.axhline(still_camera_m, color=TRUTH, lw=1.2, ls=(0, (4, 3)), label=label)
@@ -99,9 +99,9 @@ def _legend_below(figure: Any, axes: Any) -> None:
     figure.legend(handles, labels, loc="outside lower center", ncols=min(4, len(labels)))
 
 
-def _colors() -> list[str]:
-    """Return more colours than a readable picture has lines; they repeat."""
-    return list(ESTIMATES) * 4
+def _lines() -> list[tuple[str, str]]:
+    """Return colours and dashes of more lines than a readable picture has: where colours repeat, dashes differ."""
+    return [(color, dashes) for dashes in ("-", "--", ":", "-.") for color in ESTIMATES]
 
 
 def with_breaks(times_s: F64, values: F64) -> tuple[F64, F64]:

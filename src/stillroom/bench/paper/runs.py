@@ -43,13 +43,6 @@ class SystemRuns:
         """RMSE, mean and median of the errors of a run's poses over the runs [m]; None where a run has none."""
         return None if self.accuracy is None else errors_of(self.accuracy)
 
-    @property
-    def shown(self) -> Trajectory | None:
-        """The trajectory that is drawn, the first run's; None where there is none that can be compared."""
-        if self.accuracy is None or self.accuracy.trials[0].evaluation is None:
-            return None
-        return self.accuracy.trials[0].trajectory
-
     def to_dict(self, sequence: str, baseline: "SystemRuns | None") -> dict[str, Any]:
         """Return the figures for a JSON file."""
         if self.accuracy is None:

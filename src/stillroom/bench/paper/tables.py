@@ -25,7 +25,7 @@ RUNS_HEADER = (
     "sequence", "system", "median", "mean", "min", "max", "gain", "printed", "tracked", "loops", "still",
 )  # fmt: skip
 GEOMETRY_HEADER = (
-    "sequence", "figures", "DynaSLAM's test", "along the path", "ratio", "as printed, all", 
+    "sequence", "figures", "DynaSLAM's test", "along the path", "ratio", "as printed, all",
     "along the path, as printed", "ratio, as printed",
 )  # fmt: skip
 
@@ -62,8 +62,8 @@ def _notes(paper: Paper, found: Sequence[SequenceRuns]) -> list[str]:
     ours = f"medians over {n_runs} run{'s' if n_runs > 1 else ''} with seeds 0 to {n_runs - 1}; " if n_runs else ""
     lines = [
         f"ours: {ours}errors [m] after SE(3) alignment, ground truth as given; tracked: the worst run's share of "
-        f"the frames; gain: how far the error lies below that of {paper.baseline}; still: static-pose baseline, the error of a "
-        "camera that never moved",
+        f"the frames; gain: how far the error lies below that of {paper.baseline}; still: static-pose baseline, the "
+        "error of a camera that never moved",
         f"printed: {paper.cite}, {paper.sources[0]}; cells marked * are misprints, – is not printed",
     ]
     if paper.both_loops:

@@ -7,6 +7,8 @@ import typer
 
 from stillroom.bench.geometry_table import GeometryTable, geometry_table
 from stillroom.bench.observers import GeometryTrialConfig
+from stillroom.bench.paper.figures import Figures, draw_bars, draw_errors, draw_geometry, draw_paths, draw_portraits
+from stillroom.bench.paper.portraits import Portraits, portraits
 from stillroom.bench.paper.published import Paper
 from stillroom.bench.paper.published import paper as published
 from stillroom.bench.paper.runs import SequenceRuns, SystemRuns, run_system, write_trajectories
@@ -25,7 +27,7 @@ from stillroom.protocols import Dataset
 from stillroom.warmup import warm_up
 
 FILE = "paper.json"
-TRAJECTORIES = "trajectories"
+TRAJECTORIES, FIGURES = "trajectories", "figures"
 
 
 def paper(
@@ -74,7 +76,7 @@ class _Making:
         formats: tuple[str, ...],
     ) -> None:
         self._bench, self._paper, self._configs, self._runs = bench, paper, configs, runs
-        self._folder, self._formats = folder, formats
+        self._folder, self._figures = folder, Figures(folder / FIGURES, formats)
         self._found: list[SequenceRuns] = []
         self._geometry: dict[str, GeometryTable] = {}
 
@@ -106,6 +108,23 @@ class _Making:
         write_trajectories(self._folder / TRAJECTORIES, found)
         if self._paper.geometry_ms:
             self._measure_geometry(asked, dataset)
+            draw_paths(self._figures, self._paper, found)
+        else:
+            self._draw_portraits(asked, dataset)
+            draw_errors(self._figures, self._paper, found)
+
+    def _draw_portraits(self, asked: Asked, dataset: Dataset) -> None:
+        def take(name: str, config: SlamConfig) -> Portraits | None:
+            self._bench.bar.label = f"{name}, pictures"
+            try:
+                return portraits(dataset, config, self._bench.bar)
+            except StillroomError as error:
+                say(f"{asked.name}: no pictures: {error}")
+                return None
+
+        for seen in self._bench.each({self._paper.name: self._configs[self._paper.name]}, take):
+            if seen is not None:
+                draw_portraits(self._figures, asked.name, seen)
 
     def _measure_geometry(self, asked: Asked, dataset: Dataset) -> None:
         def measure(name: str, config: SlamConfig) -> GeometryTable | None:
@@ -119,11 +138,15 @@ class _Making:
         for table in self._bench.each({self._paper.name: self._configs[self._paper.name]}, measure):
             if table is not None:
                 self._geometry[asked.name] = table
-                self._bench.keep(table.to_dict())
+                self._bench.keep([row | {"sequence": asked.name} for row in table.to_dict()])
+                draw_geometry(self._figures, asked.name, table, dataset.camera)
 
     def conclude(self) -> None:
         """Print the tables and write the rest."""
         for table in tables_of(self._paper, self._found, self._geometry):
             self._bench.print_table(table.title, table.header, table.rows, table.notes, table.n_words)
+        if self._paper.geometry_ms:
+            draw_bars(self._figures, self._paper, self._found)
         print_lines([f"folder: {self._folder}"])
-        self._bench.finish()
+        print_lines([f"figure: {path}" for path, _ in self._figures.drawn])
+        self._bench.finish(self._figures.drawn)

@@ -166,7 +166,7 @@ def _draw_maps(path: Path, seen: Portraits) -> None:
 
 
 def draw_errors(figures: Figures, paper: Paper, found: SequenceRuns) -> None:
-    """Draw Figure 10 of a sequence: the error over time of every system's first run, ORB-SLAM2's without loops."""
+    """Draw Figure 10 of a sequence: the error over time of every system's first run, without loop closing."""
     compared = dict(_compared(paper, found, no_loops=True))
     if not compared:
         return
@@ -174,7 +174,7 @@ def draw_errors(figures: Figures, paper: Paper, found: SequenceRuns) -> None:
     errors = {name: (one.groundtruth.timestamps_s, one.errors_m) for name, one in compared.items()}
     figures.plot(
         f"figure_10_errors_{file_name(found.asked.name)}",
-        f"Figure 10: error over time, loop closing of {paper.baseline} off; {found.asked.name}",
+        f"Figure 10: error over time, loop closing off; {found.asked.name}",
         lambda path: plot_error(path, errors, first.still_camera_m, found.asked.name),
     )
 
@@ -230,15 +230,12 @@ def draw_bars(figures: Figures, paper: Paper, found: Sequence[SequenceRuns]) -> 
 
 
 def _compared(paper: Paper, found: SequenceRuns, no_loops: bool = False) -> Iterator[tuple[str, AbsoluteError]]:
-    """Yield the error of each system's first run; with `no_loops`, that of the baseline without loop closing."""
+    """Yield the error of each system's first run; with `no_loops`, of that without loop closing."""
     for system in paper.systems:
         runs = found.of(system)
         if runs is None or found.truth is None:
             continue
-        accuracy = runs.accuracy
-        if no_loops and system == paper.baseline and runs.has_loops and runs.other is not None:
-            accuracy = runs.other
-        trajectory = _comparable(accuracy)
+        trajectory = _comparable((runs.without_loops if no_loops else runs).accuracy)
         if trajectory is not None:
             estimate, truth = TimeMatching().match(trajectory, found.truth)
             yield system, ate(estimate, truth)

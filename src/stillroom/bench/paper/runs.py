@@ -43,6 +43,13 @@ class SystemRuns:
         """RMSE, mean and median of the errors of a run's poses over the runs [m]; None where a run has none."""
         return None if self.accuracy is None else errors_of(self.accuracy)
 
+    @property
+    def without_loops(self) -> "SystemRuns":
+        """The same without loop closing, as far as that was run."""
+        if not self.has_loops or self.other is None:
+            return self
+        return replace(self, accuracy=self.other, other=self.accuracy, has_loops=False)
+
     def to_dict(self, sequence: str, baseline: "SystemRuns | None") -> dict[str, Any]:
         """Return the figures for a JSON file."""
         if self.accuracy is None:

@@ -69,7 +69,8 @@ def _notes(paper: Paper, found: Sequence[SequenceRuns]) -> list[str]:
     if paper.both_loops:
         lines.append(
             "loops: how many the runs closed; … loops on, off: the preset with loop closing the other way; 'as above' "
-            "where no run closed a loop, so that nothing differs"
+            "where no run closed a loop, so that nothing differs; no loops: both systems with loop closing off, as the "
+            "paper's"
         )
     keys = {one.asked.printed for one in found}
     lines += [slip.sentence() for slip in paper.misprints if slip.sequence in keys]
@@ -83,8 +84,10 @@ def _oc_rows(paper: Paper, system: str, found: Sequence[SequenceRuns]) -> list[t
     rows = []
     for one in found:
         base, ours = one.of(paper.baseline), one.of(system)
-        gains = [_better(base, ours, place) for place in range(3)]
-        rows.append((one.asked.name, "ours", *_errors(base), *_errors(ours), *gains))
+        rows.append((one.asked.name, "ours", *_side_by_side(base, ours)))
+        if any(each is not None and each.has_loops and not each.is_same and each.accuracy for each in (base, ours)):
+            without = [None if each is None else each.without_loops for each in (base, ours)]
+            rows.append(("", "no loops", *_side_by_side(*without)))
         printed = [_printed(paper, name, one.asked.printed, 3) for name in (paper.baseline, system)]
         known = paper.printed_gains(system, one.asked.printed)
         cells = [NONE] * 3 if known is None else [f"{gain:.1f} %" for gain in known]
@@ -94,6 +97,10 @@ def _oc_rows(paper: Paper, system: str, found: Sequence[SequenceRuns]) -> list[t
             cells[RMSE] += "*"
         rows.append(("", "printed", *printed[0], *printed[1], *cells))
     return rows
+
+
+def _side_by_side(base: SystemRuns | None, ours: SystemRuns | None) -> list[str]:
+    return [*_errors(base), *_errors(ours), *(_better(base, ours, place) for place in range(3))]
 
 
 def _slips(paper: Paper, system: str, sequence: str | None) -> list[Misprint]:

@@ -79,7 +79,7 @@ def draw_cluster_cloud(
     cloud = cloud_of_image(image, camera, np.rint(rgb).astype(np.uint8), kept)
     height_px = round(width_px * image.height / image.width)
     view = default_view(cloud, np.eye(4)[None], width_px, height_px, PITCH_RAD, YAW_RAD)
-    return CloudRendererConfig(two_sided=True).build().render(cloud, view)
+    return CloudRendererConfig(two_sided=True, exposure=1.0).build().render(cloud, view)
 
 
 def _colors(clusters: Clusters, moving: Bool) -> list[Color]:

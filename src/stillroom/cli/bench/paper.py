@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from stillroom.bench.ablation import homography_of
 from stillroom.bench.geometry_table import GeometryTable, geometry_table
 from stillroom.bench.observers import GeometryTrialConfig
 from stillroom.bench.paper.figures import Figures, draw_bars, draw_errors, draw_geometry, draw_paths, draw_portraits
@@ -130,7 +131,8 @@ class _Making:
         def measure(name: str, config: SlamConfig) -> GeometryTable | None:
             self._bench.bar.label = f"{name}, geometry"
             try:
-                return geometry_table(dataset, config, GeometryTrialConfig(), self._bench.bar)
+                trial = GeometryTrialConfig(homography=homography_of(config))
+                return geometry_table(dataset, config, trial, self._bench.bar)
             except StillroomError as error:
                 say(f"{asked.name}: no geometry: {error}")
                 return None

@@ -15,7 +15,16 @@ from stillroom.bounds import check
 from stillroom.config import SlamConfig, read_toml, updated, with_overrides
 from stillroom.errors import ConfigError
 from stillroom.plugins import PluginGroup
-from stillroom.presets import dynaslam, dynaslam_g, dynaslam_n, oc_slam, oc_slam_paper, orb_slam2, pspnet_slam
+from stillroom.presets import (
+    dynaslam,
+    dynaslam_g,
+    dynaslam_n,
+    oc_slam,
+    oc_slam_paper,
+    orb_slam2,
+    pspnet_slam,
+    stillroom,
+)
 from stillroom.presets.method import Method
 
 __all__ = ["DEFAULT", "OWN", "Method", "all_methods", "configure", "method"]
@@ -24,6 +33,7 @@ PLUGINS: PluginGroup[Method] = PluginGroup(
     "stillroom.methods", "method", "a Method", lambda offered: isinstance(offered, Method)
 )
 OWN = (
+    stillroom.METHOD,
     orb_slam2.METHOD,
     oc_slam.METHOD,
     oc_slam_paper.METHOD,

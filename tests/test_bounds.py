@@ -138,6 +138,8 @@ PARTS = (
     ["semantics.kind=mask-files"],
     ["semantics.kind=onnx-masks"],
     ["semantics.kind=onnx-boxes"],
+    ["semantics.kind=onnx-instances"],
+    ["dense.kind=octomap"],
     ["dynamics.kind=paper-epipolar"],
     ["dynamics.kind=multiview-code"],
 )

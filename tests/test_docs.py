@@ -22,6 +22,8 @@ import pytest
 import typer.main
 from rgbd_folder import write_first_frames, write_rgbd_folder
 
+from stillroom.bench.grid.axes import plan, read_grid
+from stillroom.bench.grid.workers import check_backend
 from stillroom.cameras.registry import PLUGINS as CAMERAS
 from stillroom.cli.installed import GROUP as COMMANDS
 from stillroom.cli.main import application, main
@@ -259,6 +261,9 @@ def test_toml_blocks_load(page: Page, folder_for: Folder) -> None:
             load_entry_points(values["project"]["entry-points"], folder)
         elif set(REQUIRED) & values.keys():
             read_camera(file)
+        elif "sequences" in values:
+            check_backend(grid := read_grid(file))
+            assert plan(grid).runs
         else:
             configure(file=file)
 

@@ -1,5 +1,6 @@
 """`stillroom bench` on a few rendered frames, and its figures against plain arithmetic."""
 
+import csv
 import json
 import re
 from dataclasses import replace
@@ -10,10 +11,12 @@ import cv2
 import numpy as np
 import pytest
 from building import parts
+from read_pages import ReadPage
 from typer.testing import CliRunner, Result
 
 from stillroom.bench import trial as trials
 from stillroom.bench.accuracy import Accuracy
+from stillroom.bench.page import series_of
 from stillroom.bench.rejection import WHOLE_BOXES, Way, sentences, ways
 from stillroom.bench.speed import UnitMeter
 from stillroom.bench.trial import FrameAverages, Trial, all_keypoints, attempt
@@ -42,8 +45,12 @@ def invoke(*arguments: str) -> Result:
 @pytest.fixture(scope="module")
 def accuracy_figures(tmp_path_factory: pytest.TempPathFactory) -> tuple[Result, dict[str, Any]]:
     file = tmp_path_factory.mktemp("bench") / "figures.json"
-    result = invoke("accuracy", ROOM, "--runs", "2", "--json", str(file))
+    result = invoke("accuracy", ROOM, "--runs", "2", "--json", str(file), "--table", "csv,latex,markdown")
     assert result.exit_code == 0, result.output
+    for line in result.stdout.splitlines():
+        what, _, path = line.partition(": ")
+        if what in ("table", "page"):
+            assert Path(path).is_file()
     return result, json.loads(file.read_text())
 
 
@@ -81,6 +88,29 @@ def test_accuracy_gives_the_figures_of_a_run_by_itself(accuracy_figures: tuple[R
     benched = accuracy_figures[1]["rows"][1]["runs"][1]
     assert benched["evaluation"]["as_given"]["ate_se3_m"]["rmse"] == alone.as_given.ate_se3_m.rmse
     assert benched["n_tracked"] == alone.n_tracked == N_FRAMES
+
+
+def test_accuracy_writes_a_page_and_tables_with_the_figures_of_its_file(
+    accuracy_figures: tuple[Result, dict[str, Any]],
+) -> None:
+    result, figures = accuracy_figures
+    written = [Path(line.partition(": ")[2]) for line in result.stdout.splitlines() if line.startswith("table: ")]
+    stem = "figures_synthetic_walking_sway_office_270_seed0"
+    assert [path.name for path in written] == [f"{stem}.csv", f"{stem}.tex", f"{stem}.md"]
+    with written[0].open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["method"] for row in rows] == [row["method"] for row in figures["rows"]]
+    assert [row["ATE median"] for row in rows] == [f"{row['ate_se3_m']['median']:.4f}" for row in figures["rows"]]
+    page = ReadPage(written[0].with_name("figures.html"))
+    assert page.asks_the_network == []
+    assert "synthetic_walking_sway_office_270_seed0" in page.text
+    assert "ATE [m]" in page.text
+    bars = series_of(figures["rows"])["ATE [m]"]
+    assert [bar.name for bar in bars] == ["orb-slam2", "oc-slam"]
+    for bar, row in zip(bars, figures["rows"], strict=True):
+        spread = row["ate_se3_m"]
+        assert (bar.value, bar.low, bar.high) == (spread["median"], spread["min"], spread["max"])
+        assert repr(bar.high) in page.scripts
 
 
 def test_rejection_prints_a_row_for_each_way_and_counts_what_is_kept(tmp_path: Path) -> None:

@@ -39,9 +39,9 @@ def table(tmp_path_factory: pytest.TempPathFactory) -> tuple[Result, list[dict[s
     return result, figures["rows"], cv2.imread(str(paths["--picture"]))
 
 
-def test_both_tests_and_both_paths_go_over_the_same_points(table: tuple[Result, list[dict[str, Any]], Any]) -> None:
+def test_all_tests_and_both_paths_go_over_the_same_points(table: tuple[Result, list[dict[str, Any]], Any]) -> None:
     rows = {(row["test"], row["search"]): row for row in table[1]}
-    assert len(rows) == 4
+    assert len(rows) == 5
     for test in ("compensated homography", "multi-view depth"):
         serpentine, ants = rows[test, "serpentine"], rows[test, "ants"]
         for name in ("n_images", "n_points", "n_dynamic", "exhaustive_s", "exhaustive_growing_s"):
@@ -55,6 +55,12 @@ def test_both_tests_and_both_paths_go_over_the_same_points(table: tuple[Result, 
             assert row["time_ratio_with_growing"] == pytest.approx(with_growing)
             assert row["test_s"] == pytest.approx(row["exhaustive_s"] / row["n_points"])
             assert row["path_length_px"] > 500 * row["n_images"]
+    printed = rows["projected points", "ants"]
+    assert printed["n_images"] == rows["multi-view depth", "ants"]["n_images"]
+    assert 0 < printed["n_tested"] < printed["n_points"]
+    assert printed["n_wrong"] == 0
+    assert printed["n_found"] <= printed["n_dynamic"]
+    assert "projected points" in table[0].stdout
     homography = rows["compensated homography", "ants"]
     assert homography["recall"] >= 0.95
     assert homography["share_tested"] < 0.85

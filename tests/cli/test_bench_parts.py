@@ -11,6 +11,7 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from stillroom.bench.parts import BOTH, HALF, Part, every_second_second, parts
+from stillroom.bench.rejection import AS_PRINTED
 from stillroom.bench.trial import FrameAverages, attempt
 from stillroom.cli.bench import app
 from stillroom.config import SlamConfig
@@ -19,6 +20,7 @@ from stillroom.datasets.recording import Recording
 from stillroom.datasets.selection import select
 from stillroom.dynamics.chain import KeepAllConfig
 from stillroom.dynamics.epipolar_sieve import EpipolarConfig
+from stillroom.dynamics.paper_clusters import PaperClustersConfig
 from stillroom.errors import ConfigError
 from stillroom.presets.registry import configure
 from stillroom.semantics.depth_clusters import DepthClustersConfig, NoClustersConfig
@@ -38,9 +40,9 @@ def figures(tmp_path_factory: pytest.TempPathFactory) -> tuple[Result, dict[str,
     return result, {row["method"]: row for row in json.loads(file.read_text())["rows"]}
 
 
-def test_one_command_prints_the_four_rows_and_one_with_a_failing_detector(figures: tuple[Result, Any]) -> None:
+def test_one_command_prints_the_rows_and_one_with_a_failing_detector(figures: tuple[Result, Any]) -> None:
     result, rows = figures
-    assert list(rows) == ["none", "boxes only", "clusters only", "both", HALF]
+    assert list(rows) == ["none", "boxes only", "clusters only", "both", AS_PRINTED, HALF]
     for name, row in rows.items():
         line = next(line for line in result.stdout.splitlines() if line.strip().startswith(name))
         cells = line.strip().removeprefix(name).split()
@@ -76,6 +78,7 @@ def test_the_rows_differ_in_what_they_say() -> None:
         (yolo, NoClustersConfig, EpipolarConfig),
         (NothingConfig, DepthClustersConfig, sieve),
         (yolo, DepthClustersConfig, sieve),
+        (yolo, DepthClustersConfig, PaperClustersConfig),
     ]
     assert four["boxes only"].dynamics.min_agreeing == 3
     assert four["clusters only"].dynamics.gain == 1.25
@@ -141,5 +144,5 @@ def test_a_detector_that_sees_nothing_cannot_fail(tmp_path: Path, monkeypatch: p
     file = tmp_path / "figures.json"
     result = CliRunner().invoke(app, ["parts", ROOM, "--set", TRUTH, "--json", str(file)])
     assert result.exit_code == 0, result.output
-    assert len(asked) == len(json.loads(file.read_text())["rows"]) == 4
+    assert len(asked) == len(json.loads(file.read_text())["rows"]) == 5
     assert HALF not in result.stdout

@@ -14,7 +14,7 @@ from rich.console import Console
 from stillroom import __version__
 from stillroom.cli import main as command_line
 from stillroom.cli.main import COMMANDS, application, main
-from stillroom.cli.output import STDOUT, RunBar
+from stillroom.cli.output import STDOUT, RunBar, say
 from stillroom.config import to_toml
 from stillroom.data.result import FrameSummary, TrackingState
 from stillroom.data.trajectory import Trajectory, read_tum
@@ -121,6 +121,11 @@ def test_a_long_error_stays_one_line(stillroom: Callable, monkeypatch: pytest.Mo
     assert said.err.count("\n") == 1
     assert "[bold]such[/]" in said.err
     assert said.err.endswith("and more\n")
+
+
+def test_a_name_between_colons_is_not_drawn_as_a_picture(capsys: pytest.CaptureFixture[str]) -> None:
+    say("seed 0, on synthetic:walking: all tracked")
+    assert capsys.readouterr().err == "seed 0, on synthetic:walking: all tracked\n"
 
 
 def test_methods_lists_every_method(stillroom: Callable) -> None:

@@ -61,6 +61,13 @@ def test_some_formats_into_another_folder(run: Path, stillroom: Callable) -> Non
     assert len(said.out.splitlines()) == 3
 
 
+def test_free_voxels_of_an_occupancy_map_are_told(run: Path, corner_cloud: DenseCloud, stillroom: Callable) -> None:
+    free = np.array([[0, 0, 10], [0, 0, 11], [-1, 2, 12]], dtype=np.int32)
+    replace(corner_cloud, free=free).write(run / NAME)
+    said = stillroom("export", run, "--format", "octomap")
+    assert "voxels of 0.04 m, 3 free ones, " in said.out
+
+
 def test_settings_reach_the_formats(run: Path, stillroom: Callable) -> None:
     settings = ["--set", "occupancy.resolution_m=0.2", "--set", "occupancy.floor.min_area_m2=1"]
     said = stillroom("export", run, "--format", "occupancy", *settings)

@@ -22,7 +22,8 @@ from stillroom.cli.main import COMMANDS, application
 for words in ((), ("run",), ("evaluate",), ("methods",), ("show-config",), ("train-vocabulary",), ("train", "pspnet"),
               ("export", "pspnet"), ("export", "yolo")):
     application(*words)
-print(*sorted({"numpy", "cv2", "numba", "scipy", "matplotlib", "onnx", "onnxruntime", "torch"} & set(sys.modules)))
+heavy = {"numpy", "cv2", "numba", "scipy", "matplotlib", "bokeh", "onnx", "onnxruntime", "torch"}
+print(*sorted(heavy & set(sys.modules)))
 """
 
 

@@ -18,6 +18,7 @@ from stillroom.protocols import Segmenter
 from stillroom.semantics.carried_boxes import CarriedBoxes, CarryConfig
 from stillroom.semantics.detector import withhold
 from stillroom.semantics.mask_files import MaskFilesConfig
+from stillroom.semantics.masks.onnx_instances import OnnxInstancesConfig
 from stillroom.semantics.masks.onnx_masks import OnnxMasksConfig
 from stillroom.semantics.no_segmenter import NothingConfig
 from stillroom.semantics.onnx.onnx_boxes import OnnxBoxesConfig
@@ -135,6 +136,19 @@ def test_a_detector_keeps_the_contract(carry: bool, tmp_path: Path) -> None:
     config = OnnxBoxesConfig(model, "nms", classes=("person", "chair"), named=("chair",))
     answers = check_segmenter(replace(config, carry=CarryConfig(enabled=carry)).build, a_walk())
     assert all((len(answer.boxes), len(answer.named)) == (2, 1) for answer in answers)
+
+
+@pytest.mark.parametrize(("every", "latency_frames"), [(1, 0), (2, 1)])
+def test_an_instance_network_keeps_the_contract(every: int, latency_frames: int, tmp_path: Path) -> None:
+    dets = np.array([[[-20, 30, 50, 90, 0.9], [60, 40, 900, 100, 0.7], [10, 10, 90, 80, 0.8]]], np.float32)
+    labels = np.array([[0, 0, 56]])  # two people and a chair
+    outputs = {"dets": dets, "labels": labels, "masks": np.ones((1, 3, 28, 28), np.float32)}
+    model = save_constant_detector(tmp_path / "instances.onnx", outputs)
+    config = OnnxInstancesConfig(model, masks_cover="box", named=("chair",), every=every, latency_frames=latency_frames)
+    answers = check_segmenter(config.build, a_walk())
+    assert all([one.label for one in answer.instances] == ["person", "person"] for answer in answers)
+    assert all(len(answer.named) == 1 for answer in answers)
+    assert max(box.carried for answer in answers for box in answer.boxes) == (0 if every == 1 else 2)
 
 
 def test_onnx_masks_keep_the_contract(deeplab: Path, bonn: Path) -> None:

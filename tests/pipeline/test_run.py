@@ -37,6 +37,7 @@ FILES = {
     "keyframes.tum",
     "metrics.json",
     "pictures",
+    "report.html",
     "timing.csv",
     "trajectory.tum",
     "trajectory_online.tum",

@@ -16,9 +16,14 @@ from stillroom.dynamics.chain import KeepAllConfig, KeepAllKeypointsConfig
 from stillroom.dynamics.cluster_sieve import ClusterSieveConfig
 from stillroom.dynamics.homography.homography_sieve import CompensatedHomographyConfig
 from stillroom.dynamics.masked_keypoints import MaskedKeypointsConfig
+from stillroom.dynamics.moving_consistency import MovingConsistencyConfig
+from stillroom.dynamics.moving_objects import MovingObjectsConfig
+from stillroom.dynamics.moving_probability import MovingProbabilityConfig
 from stillroom.dynamics.multiview.multiview_sieve import MultiViewConfig
 from stillroom.dynamics.paper_epipolar import PaperEpipolarConfig
+from stillroom.dynamics.projected.paper_ants import PaperAntsConfig
 from stillroom.dynamics.segment_sieve import MovedSegmentsConfig
+from stillroom.dynamics.semantic_flow import SemanticFlowConfig
 from stillroom.errors import ConfigError
 from stillroom.presets import registry
 from stillroom.presets.method import Method
@@ -90,6 +95,32 @@ def test_pspnet_slam_is_masks_a_homography_and_segments_that_move() -> None:
     assert rest_of(config, *MASKED, "clusters") == SlamConfig()
 
 
+def test_pspnet_slam_paper_is_what_is_printed() -> None:
+    config = method("pspnet-slam-paper").config
+    assert classes(config, "semantics", "keypoints", "low_cost", "dynamics", "clusters", "dense") == [
+        PspNetConfig,
+        MaskedKeypointsConfig,
+        LowCostConfig,
+        PaperAntsConfig,
+        NoClustersConfig,
+        NoDenseMapConfig,
+    ]
+    semantics = config.semantics
+    assert isinstance(semantics, PspNetConfig)
+    assert (semantics.input, semantics.sees, semantics.model) == ("640x480", "keyframes", None)
+    animals = {"bird", "cat", "cow", "dog", "horse", "sheep"}
+    vehicles = {"aeroplane", "bicycle", "boat", "bus", "car", "motorbike", "train"}
+    assert set(semantics.movable) == {"person"} | animals | vehicles
+    assert len(semantics.movable) == 14
+    assert config.dynamics == PaperAntsConfig()
+    assert config.tracking == SlamConfig().tracking, "ORB in every frame"
+    assert (config.mapping.max_final_keyframes, config.mapping.max_final_keyframes_looped) == (0, 0)
+    assert not config.joining.enabled
+    assert config.loops == SlamConfig().loops
+    own = ("semantics", "keypoints", "low_cost", "dynamics", "mapping", "joining")
+    assert rest_of(config, *own) == SlamConfig()
+
+
 def test_dynaslam_is_masks_and_multi_view_geometry_and_each_alone() -> None:
     both, network, geometry = (method(name).config for name in ("dynaslam", "dynaslam-n", "dynaslam-g"))
     assert classes(both, "semantics", "dynamics", "low_cost") == [PspNetConfig, MultiViewConfig, LowCostConfig]
@@ -104,6 +135,21 @@ def test_dynaslam_is_masks_and_multi_view_geometry_and_each_alone() -> None:
     for config in (both, network, geometry):
         assert config.tracking == BY_FLOW
         assert rest_of(config, *MASKED) == SlamConfig()
+
+
+@pytest.mark.parametrize("kind", ["multiview", "multiview-paper", "multiview-code"])
+def test_the_ants_can_be_chosen_wherever_the_multi_view_test_is_used(kind: str) -> None:
+    chosen = [f"dynamics.kind={kind}", "dynamics.search=reverse-ants"]
+    config, plain = configure("dynaslam", None, chosen), configure("dynaslam", None, chosen[:1])
+    assert isinstance(plain.dynamics, MultiViewConfig)
+    assert config.dynamics == replace(plain.dynamics, search="reverse-ants")
+    with pytest.raises(ConfigError, match="must be one of all, reverse-ants"):
+        configure("dynaslam", None, [chosen[0], "dynamics.search=some"])
+
+
+def test_the_summaries_say_who_runs_the_colony() -> None:
+    assert "serpentine" in method("pspnet-slam").summary
+    assert "ants' path" in method("pspnet-slam-paper").summary
 
 
 @pytest.mark.parametrize("kind", ["multiview-paper", "multiview-code"])
@@ -124,6 +170,28 @@ def test_the_sieves_of_a_chain_are_sockets_of_their_own() -> None:
     assert again == config
     with pytest.raises(ConfigError, match=r"dynamics.second.kind is 'chains'.*did you mean"):
         configure("pspnet-slam", None, ["dynamics.second.kind=chains"])
+
+
+def test_the_systems_of_pspnet_slams_table_have_the_numbers_of_their_papers() -> None:
+    ds_slam, sof_slam, zhang_slam = (method(name).config for name in ("ds-slam", "sof-slam", "zhang-slam"))
+    check = ds_slam.dynamics  # docs/reference.md#ds-slam
+    assert isinstance(check, MovingConsistencyConfig)
+    assert (check.corners, check.quality, check.apart_px, check.window_px, check.levels) == (1000, 0.01, 8, 22, 5)
+    assert (check.edge_px, check.max_difference, check.inlier_px, check.line_px) == (5, 2120, 0.1, 1)
+    assert isinstance(sof_slam.dynamics, SemanticFlowConfig)
+    assert (sof_slam.dynamics.line_px, sof_slam.dynamics.judged) == (1, "every")  # docs/reference.md#sof-slam
+    assert classes(zhang_slam, "semantics", "dynamics") == [YoloFastestConfig, MovingObjectsConfig]
+    assert [config.semantics.every for config in (ds_slam, sof_slam)] == [1, 1]  # type: ignore[attr-defined]
+    detect_slam = method("detect-slam").config  # docs/reference.md#detect-slam
+    assert isinstance(detect_slam.semantics, YoloFastestConfig)
+    assert detect_slam.semantics.sees == "keyframes"
+    assert {"person", "dog", "car"} < set(detect_slam.semantics.movable)
+    assert isinstance(detect_slam.dynamics, MovingProbabilityConfig)
+    assert detect_slam.dynamics.gain == 0.3
+    # All else is ORB-SLAM2's, keypoints for every image included; L. Zhang et al. and DS-SLAM have a dense map.
+    for config in (ds_slam, detect_slam, sof_slam, zhang_slam):
+        assert rest_of(config, "semantics", "dynamics", "dense") == SlamConfig()
+    assert classes(detect_slam, "dense") + classes(sof_slam, "dense") == [NoDenseMapConfig, NoDenseMapConfig]
 
 
 def test_a_preset_is_a_short_file() -> None:

@@ -3,7 +3,9 @@
 import re
 import subprocess
 import sys
+import zlib
 from pathlib import Path
+from xml.etree import ElementTree
 
 import cv2
 import numpy as np
@@ -112,3 +114,46 @@ def test_matplotlib_is_not_imported_before_a_plot_is_drawn_and_needs_no_display(
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert re.fullmatch("clean\n", done.stdout), done.stderr
+
+
+PLOTS = {
+    "above": lambda path: plot_from_above(path, {"oc-slam": walk(0.1)}, walk(0.0), "a walk"),
+    "over time": lambda path: plot_over_time(path, {"oc-slam": walk(0.1)}, walk(0.0), "a walk"),
+    "error": lambda path: plot_error(path, {"oc-slam": (np.arange(9.0), np.ones(9))}, 0.5, "a walk"),
+}
+SIZES_IN = {"above": (7.0, 6.2), "over time": (9.0, 6.4), "error": (9.0, 3.8)}
+
+
+@pytest.mark.parametrize("name", PLOTS)
+def test_a_plot_for_a_paper_is_drawn_in_lines(tmp_path: Path, name: str) -> None:
+    PLOTS[name](tmp_path / "plot.svg")
+    drawn = ElementTree.parse(tmp_path / "plot.svg").getroot()
+    assert drawn.tag == "{http://www.w3.org/2000/svg}svg"
+    assert [float(side) for side in drawn.attrib["viewBox"].split()[2:]] == pytest.approx(
+        [72 * side for side in SIZES_IN[name]]
+    )
+    styles = [element.attrib.get("style", "") for element in drawn.iter()]
+    assert any(f"stroke: {ESTIMATES[0]}" in style for style in styles)
+    assert any(f"stroke: {TRUTH}" in style for style in styles)
+    assert not list(drawn.iter("{http://www.w3.org/2000/svg}image"))
+
+    PLOTS[name](tmp_path / "plot.pdf")
+    pdf = (tmp_path / "plot.pdf").read_bytes()
+    assert pdf.startswith(b"%PDF-1.")
+    assert pdf.rstrip().endswith(b"%%EOF")
+    assert b"/Subtype /Image" not in pdf
+    box = re.search(rb"/MediaBox \[ 0 0 ([\d.]+) ([\d.]+) \]", pdf)
+    assert box is not None
+    assert [float(side) for side in box.groups()] == pytest.approx([72 * side for side in SIZES_IN[name]])
+    pages = [
+        zlib.decompress(each) for each in re.findall(rb"FlateDecode >>\s+stream\n(.*?)\nendstream", pdf, re.DOTALL)
+    ]
+    blue = " ".join(f"{int(ESTIMATES[0][i : i + 2], 16) / 255:.10g}" for i in (1, 3, 5)) + " RG"
+    assert any(blue[:8].encode() in page and b" RG" in page for page in pages)
+
+
+@pytest.mark.parametrize("suffix", ["png", "svg", "pdf"])
+def test_the_same_plot_gives_the_same_bytes(tmp_path: Path, suffix: str) -> None:
+    for name in ("a", "b"):
+        PLOTS["error"](tmp_path / f"{name}.{suffix}")
+    assert (tmp_path / f"a.{suffix}").read_bytes() == (tmp_path / f"b.{suffix}").read_bytes()

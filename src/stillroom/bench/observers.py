@@ -1,4 +1,4 @@
-"""Observes a run and runs the two geometries on its images: DynaSLAM's and PSPNet-SLAM's."""
+"""Observes a run and runs the geometries on its images: DynaSLAM's, PSPNet-SLAM's, and the latter as printed."""
 
 from collections import deque
 from dataclasses import dataclass, field, replace
@@ -15,10 +15,11 @@ from stillroom.data.result import FrameResult, Tracked
 from stillroom.data.semantics import Semantics, nothing
 from stillroom.dynamics.ants.colony import PATHS
 from stillroom.dynamics.ants.comparison import PointSet, SearchComparison, compare
-from stillroom.dynamics.ants.search import ReverseSearch, ReverseSearchConfig, SearchResult
+from stillroom.dynamics.ants.search import ALL, ReverseSearch, ReverseSearchConfig, SearchResult
 from stillroom.dynamics.asking import Asking
 from stillroom.dynamics.homography.homography_sieve import CompensatedHomographyConfig, Findings
 from stillroom.dynamics.multiview.multiview_geometry import DYNAMIC, Geometry, GeometryConfig, PointsInView
+from stillroom.dynamics.projected.paper_ants import PaperAntsConfig, Projected
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import I64, Bool
 from stillroom.geometry.pixels import Shape, grown, values_at
@@ -31,9 +32,9 @@ KEPT_IMAGES = 40
 MOST_MOVING = 0.5
 CLEAR_PX = 6
 """Keypoints this near to something that moves count neither as moving nor as static."""
-HOMOGRAPHY, MULTI_VIEW = "compensated homography", "multi-view depth"
-"""The tests of a point: PSPNet-SLAM's, and DynaSLAM's."""
-TESTS = HOMOGRAPHY, MULTI_VIEW
+HOMOGRAPHY, MULTI_VIEW, PRINTED = "compensated homography", "multi-view depth", "projected points"
+"""The tests of a point: what we made of PSPNet-SLAM's, DynaSLAM's, and PSPNet-SLAM's as printed."""
+TESTS = HOMOGRAPHY, MULTI_VIEW, PRINTED
 SERPENTINE, ANTS = PATHS
 
 
@@ -45,6 +46,7 @@ class GeometryTrialConfig:
         network: Whether what the run's network masks is left out; if not, the geometry must find the people itself.
         homography: PSPNet-SLAM's test and search.
         multi_view: DynaSLAM's test, on keypoints of keyframes alone, as its paper has it.
+        printed: PSPNet-SLAM's test and search as printed, on the previous frame's projected features.
         repeats: How often each search is timed; the fastest counts.
         picture_of: Number of the image to draw; None for one in which much moves.
     """
@@ -52,6 +54,7 @@ class GeometryTrialConfig:
     network: bool = False
     homography: CompensatedHomographyConfig = field(default_factory=CompensatedHomographyConfig)
     multi_view: GeometryConfig = field(default_factory=GeometryConfig)
+    printed: PaperAntsConfig = field(default_factory=PaperAntsConfig)
     repeats: int = 3
     picture_of: int | None = None
 
@@ -81,7 +84,7 @@ class Shown:
 
 
 class GeometryObserver:
-    """Times both tests on each tracked image; at the tracked pose, so that neither depends on the run's own sieve.
+    """Times all tests on each tracked image; at the tracked pose, so that none depends on the run's own sieve.
 
     Attributes:
         comparisons: The sums over the images, by test and search.
@@ -94,11 +97,13 @@ class GeometryObserver:
         self.config, self._system, self._seed = config, system, seed
         parts = Parts(system.mapper.camera, system.map, seed)
         self._sieve = replace(config.homography, search=EXHAUSTIVE).build(parts)
-        self._asking = Asking(self._sieve, system.map)
+        self._printed = replace(config.printed, search=ALL).build(parts)
+        self._asking = [Asking(self._sieve, system.map), Asking(self._printed, system.map)]
         keyframes = replace(config.multi_view.keyframes, grid_px=0)
         self._multi_view = replace(config.multi_view, keyframes=keyframes).build()
         self._jumps = JumpFollower()
-        self._searches = {test: self._new_searches() for test in TESTS}
+        self._searches = {test: self._new_searches() for test in (HOMOGRAPHY, MULTI_VIEW)}
+        self._searches[PRINTED] = {ANTS: config.printed.ants.build(seed)}
         self._images: deque[RgbdImage] = deque(maxlen=KEPT_IMAGES)
         self._most = 0
         self.comparisons: dict[tuple[str, str], list[SearchComparison]] = {}
@@ -115,13 +120,15 @@ class GeometryObserver:
         T_new_old = self._jumps.missed(world)
         if T_new_old is not None:
             self._multi_view.views.follow(T_new_old)
-        self._asking.judge(Question(Stage.LOCAL_MAP, frame, unmatched, Done(known), T_cam_world, world))
+        for asking in self._asking:
+            asking.judge(Question(Stage.LOCAL_MAP, frame, unmatched, Done(known), T_cam_world, world))
         findings, seen = self._sieve.findings, self._multi_view.points_in_view(frame, T_cam_world, world)
         if findings is not None and seen is not None:
             self._compare(findings, seen, known.movable if known.has_any else None)
         keyframe = tracked.reference_keyframe if result.is_keyframe else -1
         self._multi_view.views.note(frame, T_cam_world, tracked.motion.moving, keyframe)
-        self._asking.remember(frame, T_cam_world, keyframe)
+        for asking in self._asking:
+            asking.remember(frame, T_cam_world, keyframe)
 
     def close(self) -> None:
         """Nothing is left open."""
@@ -132,6 +139,8 @@ class GeometryObserver:
             HOMOGRAPHY: _by_homography(findings, self._multi_view, seen, mask),
             MULTI_VIEW: _by_depth(self._multi_view, seen, mask),
         }
+        if self._printed.projected is not None:
+            sets[PRINTED] = _as_printed(self._printed.projected, self._multi_view, seen)
         for test, points in sets.items():
             for search, compared in compare(points, self._searches[test], self.config.repeats).items():
                 self.comparisons.setdefault((test, search), []).append(compared)
@@ -180,6 +189,16 @@ def _by_depth(geometry: Geometry, seen: PointsInView, mask: Bool | None) -> Poin
         return geometry.grow(seen, seen.before_px[points[moves]])
 
     return PointSet(seen.points.px[points].astype(np.float64), test, grow, mask)
+
+
+def _as_printed(projected: Projected, geometry: Geometry, seen: PointsInView) -> PointSet:
+    """Return the previous frame's projected features with the test as printed; regions grow from what occludes them."""
+    test = projected.test
+
+    def grow(moves: Bool) -> Bool:
+        return geometry.grow(seen, test.before_px[moves])
+
+    return PointSet(test.raw_px, test, grow)
 
 
 # Observes a run on a rendered sequence, and counts how much of the moving objects was found.

@@ -16,9 +16,9 @@ from stillroom.evaluation.smoothness import Smoothness
 from stillroom.evaluation.timing import FRAME, StageClock
 from stillroom.pipeline import SILENT, RunOptions, RunProgress, run
 from stillroom.pipeline.live import LiveFigures
-from stillroom.protocols import Dataset, RunObserver, Schedule, Segmenter
+from stillroom.protocols import Dataset, KeyframeSegmenter, RunObserver, Schedule, Segmenter
 from stillroom.schedule import InOrder
-from stillroom.semantics.detector import FrameRange, WithheldSegmenter
+from stillroom.semantics.detector import FrameRange, silenced
 from stillroom.system import System, segmenter_of
 
 
@@ -174,7 +174,7 @@ def attempt(
     """
     schedule = schedule or InOrder()
     segmenter = segmenter_of(config, dataset.camera, schedule)
-    noting = NotingSegmenter(WithheldSegmenter(segmenter, withheld) if withheld else segmenter)
+    noting = noting_of(silenced(segmenter, withheld) if withheld else segmenter)
     options = RunOptions(root=None, pictures=0, segmenter=noting, observe=observe, schedule=schedule, speed=speed)
     outcome = run(dataset, replace(config, seed=seed), options, progress)
     if outcome.interrupted:
@@ -197,6 +197,13 @@ def attempt(
     )
 
 
+def noting_of(segmenter: Segmenter) -> "NotingSegmenter":
+    """Return a segmenter that records what another finds; of keyframes alone, if that sees only these."""
+    if isinstance(segmenter, KeyframeSegmenter):
+        return NotingKeyframeSegmenter(segmenter)
+    return NotingSegmenter(segmenter)
+
+
 class NotingSegmenter:
     """Returns another segmenter's result and records in which images something is potentially dynamic."""
 
@@ -207,6 +214,21 @@ class NotingSegmenter:
     def __call__(self, image: RgbdImage) -> Semantics:
         """Return the other's result."""
         semantics = self._inner(image)
+        if semantics.has_any:
+            self.occupied.add(image.index)
+        return semantics
+
+
+class NotingKeyframeSegmenter(NotingSegmenter):
+    """The same of a network that sees keyframes only."""
+
+    def __init__(self, inner: KeyframeSegmenter) -> None:
+        super().__init__(inner)
+        self._see = inner.see
+
+    def see(self, image: RgbdImage) -> Semantics:
+        """Return what the other finds in a keyframe."""
+        semantics = self._see(image)
         if semantics.has_any:
             self.occupied.add(image.index)
         return semantics

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from stillroom.cli.arguments import MAX_GAP_S
+from stillroom.cli.arguments import MAX_GAP_S, PLOT_FORMATS, Formats, chosen_of
 from stillroom.errors import ConfigError, TrajectoryError
 
 if TYPE_CHECKING:
@@ -44,13 +44,14 @@ def evaluate(
     max_gap: MaxGap = MAX_GAP_S,
     offset: Offset = "0",
     interpolate: Interpolate = False,
+    formats: Formats = None,
     json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON; write nothing.")] = False,
 ) -> None:
     """Evaluate a trajectory: ATE and RPE.
 
     Against the ground truth, beside the static-pose baseline: a camera that never moved.
 
-    Figures and pictures are written into the folder of the run.
+    Figures, pictures and the report are written into the folder of the run.
 
         stillroom evaluate results/latest --baseline results/the_run_before
         stillroom evaluate --estimate mine.txt --groundtruth groundtruth.txt
@@ -61,10 +62,10 @@ def evaluate(
     from stillroom.pipeline.results import chosen_folder, new_folder
 
     show_log()
-    matching = _matching(max_gap, offset, interpolate)
+    matching, drawn = _matching(max_gap, offset, interpolate), chosen_of("--format", formats, PLOT_FORMATS)
     if estimate is None:
         _refuse(("--groundtruth", groundtruth), ("--sequence", sequence), ("--out", out))
-        judged = evaluate_folder(folder or DEFAULT_FOLDER, baseline, write=not json, matching=matching)
+        judged = evaluate_folder(folder or DEFAULT_FOLDER, baseline, not json, matching, drawn)
     else:
         if folder is not None:
             raise ConfigError(f"both {folder} and --estimate {estimate} are given; leave one out")
@@ -74,7 +75,7 @@ def evaluate(
             place = (
                 chosen_folder(out) if out else new_folder(Path("results"), "evaluation", estimate.stem, latest=False)
             )
-        judged = evaluate_files(estimate, truth, place, baseline, matching)
+        judged = evaluate_files(estimate, truth, place, baseline, matching, drawn)
     if json:
         typer.echo(to_json(judged.evaluation), nl=False)
         return

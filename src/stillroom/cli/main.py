@@ -58,6 +58,7 @@ COMMANDS = (
     Command("record", "stillroom.cli.record:record", "Keep what a camera sees as a sequence."),
     Command("view", "stillroom.cli.view:view", "Show a finished run in rerun's viewer."),
     Command("evaluate", "stillroom.cli.evaluate:evaluate", "Evaluate a trajectory: ATE and RPE."),
+    Command("report", "stillroom.cli.report:report", "Compare finished runs on a page to look at."),
     Command(
         "inpaint",
         "stillroom.cli.inpaint:inpaint",

@@ -31,7 +31,8 @@ WIDTH_WITHOUT_TERMINAL = 120
 
 
 def _console(stderr: bool) -> Console:
-    console = Console(file=cast(TextIO, Unbreakable("stderr" if stderr else "stdout")), stderr=stderr)
+    stream = cast(TextIO, Unbreakable("stderr" if stderr else "stdout"))
+    console = Console(file=stream, stderr=stderr, emoji=False)  # or synthetic:walking: would end in a picture
     if not console.is_terminal:
         console.width = max(console.width, WIDTH_WITHOUT_TERMINAL)
     return console

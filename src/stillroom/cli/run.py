@@ -9,9 +9,11 @@ import typer
 
 from stillroom.cli.arguments import (
     MAX_GAP_S,
+    PLOT_FORMATS,
     CameraName,
     ConfigFile,
     DepthOffset,
+    Formats,
     Fps,
     Frames,
     MaxGap,
@@ -21,12 +23,14 @@ from stillroom.cli.arguments import (
     Seed,
     Settings,
     TimeUnit,
+    chosen_of,
 )
 from stillroom.errors import ConfigError
 from stillroom.stopping import INTERRUPTED
 
 if TYPE_CHECKING:
     from stillroom.config import SlamConfig
+    from stillroom.datasets.pairing import Pairing
     from stillroom.pipeline import RunOptions, RunOutcome, Source
     from stillroom.session.map_file import MapFile
 
@@ -103,12 +107,14 @@ def run(
     view: View = False,
     rerun: Rerun = None,
     pictures: Annotated[int, typer.Option(min=0, metavar="N", help="How many frames to draw; 0: no pictures.")] = 8,
+    formats: Formats = None,
+    no_report: Annotated[bool, typer.Option("--no-report", help="Do not write report.html.")] = False,
 ) -> None:
     """Track the camera through a sequence.
 
     Or a camera that is plugged in, until it is stopped; 'stillroom record' keeps what it sees. Writes trajectory,
-    figures and pictures into a folder in results/; Ctrl-C ends a run early and keeps the results so far. Exit code 3
-    says that nothing was tracked.
+    figures, pictures and report.html into a folder in results/; Ctrl-C ends a run early and keeps the results so far.
+    Exit code 3 says that nothing was tracked.
 
     An archive is unpacked once into the user's cache and stays there until you delete it.
 
@@ -116,13 +122,11 @@ def run(
         stillroom run rgbd_bonn_crowd --frames 200: --map room.stillmap --localize
         stillroom run camera:realsense --schedule live --view
     """
-    from stillroom.cli.view import destinations
-    from stillroom.datasets.pairing import Pairing
     from stillroom.pipeline import RunOptions, Source
     from stillroom.presets.registry import configure
 
     chosen = configure(method, config, settings or (), seed)
-    pairing = Pairing(time_unit, pair_by, max_gap, depth_offset)
+    pairing = _pairing(time_unit, pair_by, max_gap, depth_offset)
     source = Source(sequence, camera, fps, frames, tuple(drop or ()), tuple(blackout or ()), reverse, pairing)
     map_file = _map_file(map_, continue_, localize)
     options = RunOptions(
@@ -133,9 +137,26 @@ def run(
         map=map_file,
         masks=export_masks,
         **_pace(schedule, speed),
-        viewers=destinations(view, rerun),
+        **_looked_at(view, rerun, formats, no_report),
     )
     _track(chosen, source, options, tuple(detector_off or ()))
+
+
+def _pairing(time_unit: str | None, pair_by: str | None, max_gap_s: float, depth_offset_s: float) -> "Pairing":
+    from stillroom.datasets.pairing import Pairing
+
+    return Pairing(time_unit, pair_by, max_gap_s, depth_offset_s)
+
+
+def _looked_at(view: bool, rerun: Path | None, formats: list[str] | None, no_report: bool) -> dict[str, Any]:
+    """Return where a run is shown, in which formats its plots are drawn, and whether there is a report."""
+    from stillroom.cli.view import destinations
+
+    return {
+        "viewers": destinations(view, rerun),
+        "formats": chosen_of("--format", formats, PLOT_FORMATS),
+        "report": not no_report,
+    }
 
 
 def _pace(schedule: str, speed: float | None) -> dict[str, Any]:
@@ -176,12 +197,16 @@ def _track(chosen: "SlamConfig", source: "Source", options: "RunOptions", detect
     from stillroom.pipeline import run as run_pipeline
     from stillroom.pipeline.options import detector_ranges
     from stillroom.pipeline.results import chosen_folder
+    from stillroom.pipeline.warned import kept_warnings
     from stillroom.schedule import LiveSchedule
     from stillroom.system import segmenter_of
 
     show_log()
     is_paced = isinstance(options.schedule, LiveSchedule) and options.speed > 0
-    intake = source.intake()
+    warned: list[str] = []
+    with kept_warnings(warned):
+        intake = source.intake()
+    options = replace(options, warned=tuple(warned))
     if isinstance(intake, Streamed):
         if detector_off:
             raise ConfigError("--detector-off names images of a recorded sequence; leave it out")
@@ -210,44 +235,26 @@ def _track(chosen: "SlamConfig", source: "Source", options: "RunOptions", detect
 
 def _report(outcome: "RunOutcome") -> None:
     from stillroom.cli.output import print_evaluation, print_lines
-    from stillroom.evaluation.report import percent
+    from stillroom.pipeline import summary
 
     if outcome.evaluation is not None:
         print_evaluation(outcome.evaluation)
     else:
-        share = percent(outcome.n_tracked / outcome.n_recorded if outcome.n_recorded else None)
-        why = (
-            "too little to compare with the ground truth"
-            if outcome.has_groundtruth
-            else "no ground truth to compare with"
-        )
-        print_lines([f"{outcome.n_tracked} of {outcome.n_recorded} frames tracked ({share}); {why}"])
+        why = summary.TOO_LITTLE if outcome.has_groundtruth else summary.NO_TRUTH
+        print_lines([summary.coverage(outcome.n_tracked, outcome.n_recorded, why)])
     print_lines(_sentences(outcome))
 
 
 def _sentences(outcome: "RunOutcome") -> list[str]:
-    from stillroom.evaluation.timing import FRAME
+    from stillroom.pipeline import summary
+    from stillroom.pipeline.results import run_figures
 
-    sentences = []
-    if outcome.interrupted:
-        sentences.append(f"stopped after {outcome.n_given} images; the figures are of these")
-    if outcome.n_bad:
-        images = "1 image" if outcome.n_bad == 1 else f"{outcome.n_bad} images"
-        sentences.append(f"not tracked, as they could not be read: {images}")
-    world = outcome.system.map
-    n_points = int(world.points.is_alive.sum())
-    text = f"map: {len(world.alive_keyframes())} keyframes, {n_points} points"
-    cost = next((stage for stage in outcome.clock.summary() if stage.stage == FRAME), None)
-    if cost is not None:
-        rate = 1000.0 / cost.wall_mean_ms
-        text += f"; a frame took {cost.wall_median_ms:.1f} ms (median), {rate:.1f} frames/s on average"
-    sentences.append(text)
-    if outcome.live is not None:
-        sentences += outcome.live.sentences()
-    if outcome.map_file is not None:
-        sentences.append(f"map file: {outcome.map_file}")
-    if outcome.masks is not None:
-        sentences.append(f"masks: {outcome.masks}")
-    if outcome.folder is not None:
-        sentences.append(f"results: {outcome.folder}")
-    return sentences
+    has_segmenter = outcome.live is not None and outcome.live.has_segmenter
+    sentences = summary.sentences(run_figures(outcome), outcome.n_given, has_segmenter)
+    places = {
+        "map file": outcome.map_file,
+        "masks": outcome.masks,
+        "report": outcome.report,
+        "results": outcome.folder,  # the last line, which scripts read
+    }
+    return sentences + [f"{what}: {place}" for what, place in places.items() if place is not None]

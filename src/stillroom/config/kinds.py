@@ -15,21 +15,28 @@ from typing import Any, Protocol
 
 from stillroom.dense.dense_mapper import DenseMapperConfig
 from stillroom.dense.no_dense_map import NoDenseMapConfig
+from stillroom.dense.octomap import OctoMapConfig
 from stillroom.dynamics.chain import Chain, KeepAllConfig, KeepAllKeypointsConfig
 from stillroom.dynamics.cluster_sieve import ClusterSieveConfig
 from stillroom.dynamics.epipolar_sieve import EpipolarConfig
 from stillroom.dynamics.homography.homography_sieve import CompensatedHomographyConfig
 from stillroom.dynamics.masked_keypoints import MaskedKeypointsConfig
+from stillroom.dynamics.moving_consistency import MovingConsistencyConfig
+from stillroom.dynamics.moving_objects import MovingObjectsConfig
+from stillroom.dynamics.moving_probability import MovingProbabilityConfig
 from stillroom.dynamics.multiview.multiview_sieve import CodeMultiViewConfig, MultiViewConfig, PaperMultiViewConfig
 from stillroom.dynamics.paper_clusters import PaperClustersConfig
 from stillroom.dynamics.paper_epipolar import PaperEpipolarConfig
+from stillroom.dynamics.projected.paper_ants import PaperAntsConfig
 from stillroom.dynamics.segment_sieve import MovedSegmentsConfig
+from stillroom.dynamics.semantic_flow import SemanticFlowConfig
 from stillroom.dynamics.whole_boxes import WholeBoxesConfig
 from stillroom.errors import ConfigError
 from stillroom.plugins import PluginGroup
 from stillroom.protocols import Clusterer, DenseMapping, KeypointSieve, MatchSieve, Parts, QuickTracking, Segmenter
 from stillroom.semantics.depth_clusters import DepthClustersConfig, NoClustersConfig
 from stillroom.semantics.mask_files import MaskFilesConfig
+from stillroom.semantics.masks.onnx_instances import OnnxInstancesConfig
 from stillroom.semantics.masks.onnx_masks import OnnxMasksConfig
 from stillroom.semantics.masks.pspnet import PspNetConfig
 from stillroom.semantics.no_segmenter import NothingConfig
@@ -52,7 +59,12 @@ SINGLE_SIEVES: Mapping[str, type[Any]] = {
     "multiview-paper": PaperMultiViewConfig,
     "multiview-code": CodeMultiViewConfig,
     "compensated-homography": CompensatedHomographyConfig,
+    "paper-ants": PaperAntsConfig,
     "moved-segments": MovedSegmentsConfig,
+    "moving-consistency": MovingConsistencyConfig,
+    "moving-probability": MovingProbabilityConfig,
+    "semantic-flow": SemanticFlowConfig,
+    "moving-objects": MovingObjectsConfig,
 }
 
 
@@ -185,6 +197,7 @@ SEMANTICS = Kinds(
         "yolo-fastest": YoloFastestConfig,
         "onnx-boxes": OnnxBoxesConfig,
         "onnx-masks": OnnxMasksConfig,
+        "onnx-instances": OnnxInstancesConfig,
         "pspnet": PspNetConfig,
         "mask-files": MaskFilesConfig,
         "truth": TrueSemanticsConfig,
@@ -198,7 +211,7 @@ KEYPOINTS = Kinds("keypoints", {"keep-all": KeepAllKeypointsConfig, "masked": Ma
 
 LOW_COST = Kinds("low_cost", {"nothing": NoLowCostConfig, "projection": LowCostConfig})
 
-DENSE = Kinds("dense", {"nothing": NoDenseMapConfig, "voxels": DenseMapperConfig})
+DENSE = Kinds("dense", {"nothing": NoDenseMapConfig, "voxels": DenseMapperConfig, "octomap": OctoMapConfig})
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 import zipfile
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ from stillroom.data.pcd import write_pcd
 from stillroom.data.ply import POINT, filled, write_ply
 from stillroom.data.replacing import replacing
 from stillroom.errors import ConfigError, MapError
-from stillroom.geometry.arrays import F32, U8
+from stillroom.geometry.arrays import F32, I32, U8
 
 NAME = "dense_cloud.npz"
 FORMAT = "stillroom dense cloud"
@@ -24,6 +24,9 @@ ARRAYS = {
     "weight": ((), np.float32),
 }
 """The arrays of a cloud: shape of one point's part, and type."""
+
+FREE = "free"
+"""The array that is written where a map knows of free space."""
 
 COMPRESSION = 1
 """zlib's fastest: coordinates hardly shrink further, and level 6 takes twice as long."""
@@ -39,6 +42,8 @@ class DenseCloud:
         rgb: Mean colours (N, 3) uint8.
         weight: Number of pixels that each point averages (N,) float32.
         voxel_m: Edge of the voxels [m].
+        free: Indices (M, 3) int32 of the voxels that are known to be free; voxel i reaches from i to i + 1 edges. Most
+            maps do not know, and have none.
     """
 
     positions_m: F32
@@ -46,6 +51,7 @@ class DenseCloud:
     rgb: U8
     weight: F32
     voxel_m: float
+    free: I32 = field(default_factory=lambda: np.zeros((0, 3), dtype=np.int32), repr=False)
 
     def __len__(self) -> int:
         """Number of points."""
@@ -74,6 +80,8 @@ class DenseCloud:
     def _write_npz(self, path: Path) -> None:
         entries: dict[str, Any] = {"format": FORMAT, "version": VERSION, "voxel_m": float(self.voxel_m)}
         entries |= {name: np.asarray(getattr(self, name), dtype=kind) for name, (_, kind) in ARRAYS.items()}
+        if len(self.free):
+            entries[FREE] = np.asarray(self.free, dtype=np.int32)
         with (
             replacing(path) as file,
             zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=COMPRESSION) as archive,
@@ -100,6 +108,7 @@ def load_cloud(path: Path) -> DenseCloud:
                 )
             arrays = {name: np.asarray(entries[name]) for name in ARRAYS}
             voxel_m = float(entries["voxel_m"])
+            free = np.asarray(entries[FREE]) if FREE in entries else np.zeros((0, 3), dtype=np.int32)
     except FileNotFoundError:
         raise MapError(f"{path}: no such file") from None
     except (
@@ -115,7 +124,9 @@ def load_cloud(path: Path) -> DenseCloud:
     ) as error:
         raise MapError(f"{path}: damaged, or not a dense cloud; run again to make a new one") from error
     _check(path, arrays, voxel_m)
-    return DenseCloud(**arrays, voxel_m=voxel_m)
+    if free.shape != (len(free), 3) or free.dtype != np.int32:
+        raise MapError(f"{path}: damaged: {FREE} is {free.dtype} {free.shape}")
+    return DenseCloud(**arrays, voxel_m=voxel_m, free=free)
 
 
 def _check(path: Path, arrays: dict[str, Any], voxel_m: float) -> None:

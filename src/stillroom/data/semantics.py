@@ -146,12 +146,7 @@ class Semantics:
             return self.mask
         if self.instances:
             return union_of(self.instances, self.height, self.width)
-        filled = np.zeros((self.height, self.width), dtype=np.bool_)
-        for box in self.boxes:
-            x0, y0 = max(0, int(np.ceil(box.x_min_px))), max(0, int(np.ceil(box.y_min_px)))
-            x1, y1 = int(np.floor(box.x_max_px)), int(np.floor(box.y_max_px))
-            filled[y0 : max(y0, y1 + 1), x0 : max(x0, x1 + 1)] = True
-        return filled
+        return filled(self.boxes, self.height, self.width)
 
     @cached_property
     def objects(self) -> tuple[Instance, ...]:
@@ -176,6 +171,16 @@ class Semantics:
 def boxes_xyxy_px(boxes: Sequence[Box]) -> F32:
     """Return the edges of boxes (B, 4) [px]."""
     return np.array([box.xyxy_px for box in boxes], dtype=np.float32).reshape(-1, 4)
+
+
+def filled(boxes: Sequence[Box], height: int, width: int) -> Bool:
+    """Return the pixels (H, W) bool of an image that lie in any of some boxes."""
+    pixels = np.zeros((height, width), dtype=np.bool_)
+    for box in boxes:
+        x0, y0 = max(0, int(np.ceil(box.x_min_px))), max(0, int(np.ceil(box.y_min_px)))
+        x1, y1 = int(np.floor(box.x_max_px)), int(np.floor(box.y_max_px))
+        pixels[y0 : max(y0, y1 + 1), x0 : max(x0, x1 + 1)] = True
+    return pixels
 
 
 def union_of(instances: Sequence[Instance], height: int, width: int) -> Bool:

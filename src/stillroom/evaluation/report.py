@@ -206,6 +206,17 @@ def rows(evaluation: Evaluation) -> list[tuple[str, ...]]:
     return [*table, *_smoothness_rows(evaluation.for_rpe.groundtruth, evaluation.for_rpe.smoothness)]
 
 
+def values(evaluation: Evaluation) -> list[tuple[float | None, ...]]:
+    """Return the numbers of `rows`, exactly: those in the columns from "rmse" on; None where there is none."""
+    comparisons = [given for given in (evaluation.as_given, evaluation.at_camera) if given is not None]
+    errors: list[Statistics | None] = []
+    for given in comparisons:
+        errors += [given.ate_se3_m, given.ate_sim3_m]
+        for relative in (given.rpe_1s, given.rpe_30_frames):
+            errors += [None, None] if relative is None else [relative.translation_m, relative.rotation_deg]
+    return [(None,) * 6 if s is None else (s.rmse, s.mean, s.median, s.std, s.min, s.max) for s in errors]
+
+
 def lines(evaluation: Evaluation) -> list[str]:
     """Return notes on the rows, a sentence a line: coverage, pairs, convention, static-pose baseline."""
     sentences = [_coverage(evaluation)]

@@ -46,8 +46,8 @@ def estimate(
         first_px, second_px: The pairs (N, 2) [px].
         inlier_px: Largest residual of a pair that agrees [px].
         seed: Of the random samples: the same input and seed give the same answer.
-        magsac: Whether to use MAGSAC++, which weights pairs and refines the best homography; else plain RANSAC, whose
-            result goes exactly through four of the pairs.
+        magsac: Whether to use MAGSAC++, which weights pairs and refines the best homography; else OpenCV's plain
+            RANSAC, which fits its best one again to the pairs that agree.
 
     Returns:
         The fit; None where the pairs do not determine one: too few, in one place or on one line.

@@ -29,8 +29,8 @@ def usac(inlier_px: float, seed: int, confidence: float, magsac: bool = True) ->
         inlier_px: Largest residual of a pair that agrees [px].
         seed: Of the random samples.
         confidence: Probability with which one of the samples is free of outliers.
-        magsac: Whether to use MAGSAC++, which weights pairs and refines the best model; else plain RANSAC, whose result
-            goes exactly through a sample.
+        magsac: Whether to use MAGSAC++, which weights pairs and refines the best model; else OpenCV's plain RANSAC,
+            which fits its best model again to the pairs that agree (`sampled_homography` does not).
     """
     params = cv2.UsacParams()
     params.randomGeneratorState = seed

@@ -1,6 +1,7 @@
 """Evaluate a results folder, or any trajectory file."""
 
 import logging
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,7 +10,9 @@ from stillroom.errors import StillroomError, TrajectoryError
 from stillroom.evaluation.report import Evaluation, evaluate
 from stillroom.evaluation.time_matching import TimeMatching
 from stillroom.pipeline import results
+from stillroom.pipeline.ornaments import ending_nothing
 from stillroom.pipeline.plots import draw_plots
+from stillroom.pipeline.reports.run_page import write_run_page
 from stillroom.pipeline.results import results_folder
 
 log = logging.getLogger(__name__)
@@ -44,15 +47,20 @@ def evaluate_trajectory(trajectory: Trajectory, truth: results.Truth | None, n_g
 
 
 def evaluate_folder(
-    path: Path, baseline: Path | None = None, write: bool = True, matching: TimeMatching | None = None
+    path: Path,
+    baseline: Path | None = None,
+    write: bool = True,
+    matching: TimeMatching | None = None,
+    formats: Sequence[str] = (),
 ) -> EvaluatedTrajectory:
-    """Evaluate the run of a results folder again; its metrics.json and pictures are made again.
+    """Evaluate the run of a results folder again; its metrics.json, pictures and report are made again.
 
     Args:
         path: The folder; `latest` may stand for one.
         baseline: The folder of a run to compare it with.
         write: Whether to write anything.
         matching: How poses find those of the ground truth in time.
+        formats: In which plots are drawn beside PNG: "svg", "pdf".
 
     Raises:
         StillroomError: A folder is not a results folder.
@@ -68,7 +76,11 @@ def evaluate_folder(
         return EvaluatedTrajectory(folder.name, None, evaluation)
     run = results.read_run_figures(folder)
     results.write_metrics(folder, evaluation.n_tracked, evaluation.n_given, evaluation, run)
-    pictures = draw_plots(folder / results.PICTURES, trajectories, truth.as_given, folder.name, matching)
+    place = folder / results.PICTURES
+    pictures = draw_plots(place, trajectories, truth.as_given, folder.name, matching, formats=formats)
+    if (folder / results.REPORT).is_file():  # it shows the figures as they were
+        with ending_nothing("the report is left as it was"):
+            write_run_page(folder)
     return EvaluatedTrajectory(folder.name, folder, evaluation, pictures)
 
 
@@ -78,6 +90,7 @@ def evaluate_files(
     folder: Path | None,
     baseline: Path | None = None,
     matching: TimeMatching | None = None,
+    formats: Sequence[str] = (),
 ) -> EvaluatedTrajectory:
     """Evaluate a trajectory of any system.
 
@@ -87,6 +100,7 @@ def evaluate_files(
         folder: Where to write figures and pictures; None to write nothing.
         baseline: Another such file, to compare it with.
         matching: How poses find those of the ground truth in time.
+        formats: In which plots are drawn beside PNG: "svg", "pdf".
 
     Raises:
         TrajectoryError: A file cannot be read, or nothing can be compared.
@@ -102,7 +116,7 @@ def evaluate_files(
     if folder is None:
         return EvaluatedTrajectory(estimate.stem, None, evaluation)
     results.write_metrics(folder, evaluation.n_tracked, None, evaluation, None)
-    pictures = draw_plots(folder, trajectories, truth.as_given, estimate.stem, matching)
+    pictures = draw_plots(folder, trajectories, truth.as_given, estimate.stem, matching, formats=formats)
     return EvaluatedTrajectory(estimate.stem, folder, evaluation, pictures)
 
 

@@ -1,5 +1,6 @@
 """What a live run came to: delays, dropped images, and what the workers did."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -11,6 +12,7 @@ from stillroom.schedule import LiveSchedule, Worker
 
 LEFT_OUT = {Worker.DENSE: "used to carve the dense map", Worker.VIEWER: "shown by the viewer"}
 """What is left out where a worker is late."""
+MEDIAN, P95 = "due_to_pose_median_ms", "due_to_pose_p95_ms"
 
 
 @dataclass
@@ -62,8 +64,8 @@ class LiveFigures:
         return {
             "speed": self.speed,
             "n_dropped": len(self.dropped),
-            "due_to_pose_median_ms": None if np.isnan(median) else median,
-            "due_to_pose_p95_ms": None if np.isnan(p95) else p95,
+            MEDIAN: None if np.isnan(median) else median,
+            P95: None if np.isnan(p95) else p95,
             "wall_s": self.wall_s,
             "ate_online_m": None if self.online is None else self.online.as_given.ate_se3_m.rmse,
             "n_images_seen_by_network": self.n_seen,
@@ -81,17 +83,23 @@ class LiveFigures:
 
     def sentences(self) -> list[str]:
         """Return the figures in words."""
-        median, p95 = self.delay_ms
-        pace = f"at {self.speed:g} × its own speed" if self.speed > 0 else "as fast as it goes"
-        text = f"live, {pace}: {len(self.dropped)} images dropped, as tracking was late"
-        if self.speed > 0:
-            text += f"; from due to pose {median:.1f} ms (median), {p95:.1f} ms (95th percentile)"
-        for worker, what in LEFT_OUT.items():
-            load = self.schedule.loads.get(worker)
-            if load is not None and load.n_left_out > 0:
-                text += f"; {load.n_left_out} frames were not {what}, as its worker was late"
-        if self.online is not None:
-            text += f"; ATE of the poses as known at once {self.online.as_given.ate_se3_m.rmse:.4f} m"
-        busy = ", ".join(f"{worker.value} {100 * share:.0f} %" for worker, share in self.shares().items())
-        seen = f"; {self.n_seen} images seen by the network" if self.has_segmenter else ""
-        return [text, f"workers busy: {busy}{seen}"]
+        return live_sentences(self.to_dict(), self.has_segmenter)
+
+
+def live_sentences(figures: Mapping[str, Any], has_segmenter: bool) -> list[str]:
+    """Return figures of a live run, as `LiveFigures.to_dict` gives them, in words."""
+    speed, workers = figures["speed"], figures["workers"]
+    median, p95 = (float("nan") if ms is None else ms for ms in (figures[MEDIAN], figures[P95]))
+    pace = f"at {speed:g} × its own speed" if speed > 0 else "as fast as it goes"
+    text = f"live, {pace}: {figures['n_dropped']} images dropped, as tracking was late"
+    if speed > 0:
+        text += f"; from due to pose {median:.1f} ms (median), {p95:.1f} ms (95th percentile)"
+    for worker, what in LEFT_OUT.items():
+        n_left_out = workers.get(worker.value, {}).get("n_left_out", 0)
+        if n_left_out > 0:
+            text += f"; {n_left_out} frames were not {what}, as its worker was late"
+    if figures["ate_online_m"] is not None:
+        text += f"; ATE of the poses as known at once {figures['ate_online_m']:.4f} m"
+    busy = ", ".join(f"{name} {100 * load['share_busy']:.0f} %" for name, load in workers.items())
+    seen = f"; {figures['n_images_seen_by_network']} images seen by the network" if has_segmenter else ""
+    return [text, f"workers busy: {busy}{seen}"]

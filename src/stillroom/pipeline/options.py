@@ -53,6 +53,8 @@ class RunOutcome:
         doubts: What is probably wrong with calibration, depth or times; each was said in the log.
         seen: What the images were like.
         live: Delays, dropped images and workers of a live run; None of one in order.
+        warnings: What was warned of in the log.
+        report: Where the report was written; None if it was not.
     """
 
     method: str
@@ -73,6 +75,8 @@ class RunOutcome:
     doubts: list[Doubt] = field(default_factory=list)
     seen: Seen = field(default_factory=Seen)
     live: LiveFigures | None = None
+    warnings: list[str] = field(default_factory=list)
+    report: Path | None = None
 
     @property
     def n_bad(self) -> int:
@@ -177,6 +181,9 @@ class RunOptions:
         schedule: When work runs; that of `segmenter` too. A live one plays the images at their own times.
         speed: Under a live schedule, seconds of a recording that are played in one; 0: one image after the other.
         viewers: Where the run is shown while it goes on.
+        report: Whether `report.html` is written at the end.
+        formats: In which plots are drawn beside PNG: "svg", "pdf".
+        warned: What was warned of before the run, for its report.
     """
 
     root: Path | None = Path("results")
@@ -192,6 +199,9 @@ class RunOptions:
     schedule: Schedule = field(default_factory=InOrder)
     speed: float = 1.0
     viewers: tuple[Destination, ...] = ()
+    report: bool = True
+    formats: tuple[str, ...] = ()
+    warned: tuple[str, ...] = ()
 
 
 def detector_ranges(texts: Iterable[str], dataset: Dataset) -> tuple[tuple[int, int], ...]:

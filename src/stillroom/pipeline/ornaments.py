@@ -27,6 +27,15 @@ FAILURES = (
 """What drawing may end with: a disk without room, a plotting library that does not import, a plot of odd numbers."""
 
 
+@contextmanager
+def ending_nothing(what: str) -> Iterator[None]:
+    """Let a block that makes something to look at fail: that is one warning, which says what."""
+    try:
+        yield
+    except FAILURES as error:
+        log.warning("%s: %s [see troubleshooting: pictures]", what, str(error) or type(error).__name__)
+
+
 class Ornaments:
     """Counts the pictures that could not be made, and warns of the first.
 

@@ -1,6 +1,6 @@
 """The pictures of a run: its evaluation, and its maps."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +29,7 @@ def draw_plots(
     title: str,
     matching: TimeMatching | None = None,
     ornaments: Ornaments | None = None,
+    formats: Sequence[str] = (),
 ) -> tuple[Path, ...]:
     """Draw trajectories against the ground truth, from above and over time, and their errors.
 
@@ -39,9 +40,10 @@ def draw_plots(
         title: Shown above.
         matching: How poses find each other in time.
         ornaments: Takes note of what cannot be drawn.
+        formats: In which they are drawn beside PNG: "svg", "pdf".
 
     Returns:
-        The PNG files that were written.
+        The files that were written.
 
     Raises:
         TrajectoryError: One of them cannot be compared with the ground truth.
@@ -54,20 +56,33 @@ def draw_plots(
     aligned = {name: error.aligned for name, error in compared.items()}
     errors = {name: (error.groundtruth.timestamps_s, error.errors_m) for name, error in compared.items()}
     drawn: list[Path] = []
-    with ornaments.drawing():
-        plot_from_above(folder / ABOVE, aligned, judged.groundtruth, title)
-        drawn.append(folder / ABOVE)
-    with ornaments.drawing():
-        plot_over_time(folder / OVER_TIME, aligned, judged.groundtruth, title)
-        drawn.append(folder / OVER_TIME)
-    with ornaments.drawing():
-        plot_error(folder / ERROR, errors, judged.still_camera_m, title)
-        drawn.append(folder / ERROR)
+    for path in as_formats(folder / ABOVE, formats):
+        with ornaments.drawing():
+            plot_from_above(path, aligned, judged.groundtruth, title)
+            drawn.append(path)
+    for path in as_formats(folder / OVER_TIME, formats):
+        with ornaments.drawing():
+            plot_over_time(path, aligned, judged.groundtruth, title)
+            drawn.append(path)
+    for path in as_formats(folder / ERROR, formats):
+        with ornaments.drawing():
+            plot_error(path, errors, judged.still_camera_m, title)
+            drawn.append(path)
     return tuple(drawn)
 
 
+def as_formats(path: Path, formats: Sequence[str]) -> list[Path]:
+    """Return a plot's PNG file, and the files of the same name in other formats; pages show the first one."""
+    return [path, *(path.with_suffix(f".{kind}") for kind in formats if f".{kind}" != path.suffix)]
+
+
 def draw_maps(
-    folder: Path, system: System, cloud: DenseCloud | None, title: str, ornaments: Ornaments | None = None
+    folder: Path,
+    system: System,
+    cloud: DenseCloud | None,
+    title: str,
+    ornaments: Ornaments | None = None,
+    formats: Sequence[str] = (),
 ) -> None:
     """Draw the main sub-map, sparse and, where there is one, dense; nothing before there is a keyframe.
 
@@ -77,6 +92,7 @@ def draw_maps(
         cloud: The dense map; None where there is none.
         title: Shown above.
         ornaments: Takes note of what cannot be drawn.
+        formats: In which the sparse map is drawn beside PNG: "svg", "pdf". The dense one is pixels.
     """
     ornaments = ornaments or Ornaments()
     table, points, main = system.map.keyframes, system.map.points, system.main_submap
@@ -85,8 +101,9 @@ def draw_maps(
         return
     ids = np.flatnonzero(points.is_alive)
     ids = ids[submaps.of_points(ids, system.map) == main]
-    with ornaments.drawing():
-        draw_sparse_map(folder / SPARSE_MAP, points.position_m[ids], keyframes, system.trajectory(), title=title)
+    for path in as_formats(folder / SPARSE_MAP, formats):
+        with ornaments.drawing():
+            draw_sparse_map(path, points.position_m[ids], keyframes, system.trajectory(), title=title)
     if cloud is not None and len(cloud):
         with ornaments.drawing():
             view = default_view(cloud, keyframes)

@@ -1,11 +1,10 @@
 """Shows a finished run from what its results folder holds, and the images where their sequence is at hand."""
 
 import csv
-import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -19,6 +18,7 @@ from stillroom.errors import StillroomError
 from stillroom.geometry.arrays import F64
 from stillroom.pipeline import results
 from stillroom.pipeline.options import Source
+from stillroom.pipeline.reading import read_config, read_stages, unless_missing
 from stillroom.pipeline.run import RunProgress
 from stillroom.protocols import Dataset
 from stillroom.storage.reader import load_map
@@ -28,9 +28,7 @@ from stillroom.viz.viewer.observer import FLUSH_EVERY, few, truth_beside
 from stillroom.viz.viewer.recording import Destination, Recording
 from stillroom.viz.viewer.scene import Scene
 
-T = TypeVar("T")
 NEVER_KEPT = "keypoints, boxes, masks and clusters, which results do not hold; 'stillroom run … --rerun FILE.rrd' does"
-WALL = "_wall_ms"
 SAME_S = 1e-5
 """Times in results have microseconds."""
 
@@ -119,34 +117,22 @@ def read_finished(folder: Path, missing: list[str]) -> Finished:
     if not (folder / results.FINAL).is_file():
         raise StillroomError(f"{folder}: no {results.FINAL} in it; is it the folder of a run?")
     trajectory = read_tum(folder / results.FINAL)
-    rows = _unless_missing("states and counts", lambda: _read_rows(folder / results.FRAMES), missing)
-    how = _unless_missing("configuration", lambda: _provenance(folder), missing) or {}
-    truth = _unless_missing("ground truth", lambda: _truth(folder), missing)
+    rows = unless_missing("states and counts", lambda: _read_rows(folder / results.FRAMES), missing)
+    how = unless_missing("configuration", lambda: _provenance(folder), missing) or {}
+    truth = unless_missing("ground truth", lambda: _truth(folder), missing)
     return Finished(
         trajectory=trajectory,
         rows=rows if rows is not None else _rows_of(trajectory),
-        stages_ms=_unless_missing("time of each stage", lambda: _read_stages(folder / results.TIMING), missing) or {},
-        keyframes=_unless_missing("keyframes", lambda: read_tum(folder / results.KEYFRAMES), missing),
+        stages_ms=unless_missing("time of each stage", lambda: read_stages(folder / results.TIMING), missing) or {},
+        keyframes=unless_missing("keyframes", lambda: read_tum(folder / results.KEYFRAMES), missing),
         truth=truth,
-        cloud=_unless_missing("dense map", lambda: load_cloud(folder / DENSE), missing),
-        stored=_unless_missing("sparse map and covisibility", lambda: _stored(how), missing),
-        dataset=_unless_missing("images", lambda: _sequence(how), missing),
+        cloud=unless_missing("dense map", lambda: load_cloud(folder / DENSE), missing),
+        stored=unless_missing("sparse map and covisibility", lambda: _stored(how), missing),
+        dataset=unless_missing("images", lambda: _sequence(how), missing),
     )
 
 
 # What is in the folder.
-
-
-def _unless_missing(what: str, read: Callable[[], T], missing: list[str]) -> T | None:
-    try:
-        return read()
-    except StillroomError as error:
-        missing.append(f"{what}: {error}")
-    except OSError as error:
-        missing.append(f"{what}: {error.filename}: {error.strerror}")
-    except (ValueError, KeyError, TypeError) as error:
-        missing.append(f"{what}: the file is damaged ({error})")
-    return None
 
 
 def _read_rows(path: Path) -> tuple[Row, ...]:
@@ -165,16 +151,6 @@ def _rows_of(trajectory: Trajectory) -> tuple[Row, ...]:
     return tuple(Row(i, float(t), TrackingState.OK, {}) for i, t in enumerate(trajectory.timestamps_s))
 
 
-def _read_stages(path: Path) -> dict[int, dict[str, float]]:
-    with path.open(encoding="utf-8", newline="") as file:
-        return {
-            int(cells["frame"]): {
-                name.removesuffix(WALL): float(cell) for name, cell in cells.items() if name.endswith(WALL) and cell
-            }
-            for cells in csv.DictReader(file)
-        }
-
-
 def _truth(folder: Path) -> Trajectory:
     truth = results.Truth.read(folder)
     if truth is None:
@@ -183,8 +159,7 @@ def _truth(folder: Path) -> Trajectory:
 
 
 def _provenance(folder: Path) -> dict[str, Any]:
-    values = tomllib.loads((folder / results.CONFIG).read_text(encoding="utf-8"))
-    return dict(values.get("run", {}))
+    return dict(read_config(folder).get("run", {}))
 
 
 def _stored(how: Mapping[str, Any]) -> StoredMap:

@@ -15,6 +15,8 @@ metrics.json             the figures
 dense_cloud.npz          the dense map, where one is made; `stillroom export` makes other files of it
 cloud.ply                its points, for a viewer
 pictures/                trajectories, errors, maps, and frames with static and dynamic features
+warnings.txt             what was warned of, a line each, where anything was
+report.html              all that to look at, in one file
 =======================  =========================================================================
 """
 
@@ -55,6 +57,7 @@ CONFIG = "config.toml"
 FINAL, ONLINE, KEYFRAMES = "trajectory.tum", "trajectory_online.tum", "keyframes.tum"
 FRAMES, TIMING, METRICS, PICTURES = "frames.csv", "timing.csv", "metrics.json", "pictures"
 CLOUD = "cloud.ply"
+WARNINGS, REPORT = "warnings.txt", "report.html"
 TRUTH, TRUTH_CAMERA = "groundtruth.tum", "groundtruth_camera.tum"
 UNREADABLE, DROPPED = "unreadable", "dropped"
 """States of images that were not tracked: they cannot be read, or were due while tracking was late."""
@@ -262,7 +265,7 @@ def write_run_metrics(folder: Path, outcome: RunOutcome) -> None:
     Raises:
         StillroomError: They cannot be written.
     """
-    write_metrics(folder, outcome.n_tracked, outcome.n_recorded, outcome.evaluation, _run_figures(outcome))
+    write_metrics(folder, outcome.n_tracked, outcome.n_recorded, outcome.evaluation, run_figures(outcome))
 
 
 def write_metrics(
@@ -327,7 +330,8 @@ def _write_frames(path: Path, system: System, without_pose: Sequence[tuple[int, 
     replace_text(path, text.getvalue())
 
 
-def _run_figures(outcome: RunOutcome) -> dict[str, Any]:
+def run_figures(outcome: RunOutcome) -> dict[str, Any]:
+    """Return the figures of a run itself, which stand in metrics.json under `run`."""
     frames, world = outcome.system.results, outcome.system.map
     frame_time = next((stage for stage in outcome.clock.summary() if stage.stage == FRAME), None)
     peak_mb = peak_memory_mb()

@@ -9,6 +9,7 @@ from typing import Protocol
 
 from stillroom.config import SlamConfig
 from stillroom.data.image import RgbdImage
+from stillroom.data.replacing import replace_text
 from stillroom.data.result import FrameSummary, TrackingState
 from stillroom.data.trajectory import Trajectory
 from stillroom.datasets.recording import groundtruth_flaw
@@ -19,12 +20,14 @@ from stillroom.pipeline.evaluating import evaluate_trajectory
 from stillroom.pipeline.intake import Intake, intake_of
 from stillroom.pipeline.live import LiveFigures
 from stillroom.pipeline.options import RunOptions, RunOutcome
-from stillroom.pipeline.ornaments import Ornamental
+from stillroom.pipeline.ornaments import Ornamental, ending_nothing
 from stillroom.pipeline.playback import InTurn, Paced, Playback
 from stillroom.pipeline.plots import draw_maps, draw_plots
+from stillroom.pipeline.reports.run_page import write_run_page
 from stillroom.pipeline.stop_request import StopRequest
 from stillroom.pipeline.untracked import Seen
 from stillroom.pipeline.viewing import Viewers, viewed
+from stillroom.pipeline.warned import kept_warnings
 from stillroom.protocols import Dataset, RunObserver, Segmenter
 from stillroom.schedule import LiveSchedule
 from stillroom.semantics.detector import withhold
@@ -127,9 +130,16 @@ def run(
         StillroomError: Something that the run needs is wrong; a single image that cannot be read is not.
     """
     options = options or RunOptions()
+    warnings = list(options.warned)
+    with kept_warnings(warnings):
+        return _run(intake_of(source), config, options, progress, warnings)
+
+
+def _run(
+    intake: Intake, config: SlamConfig, options: RunOptions, progress: RunProgress, warnings: list[str]
+) -> RunOutcome:
     if options.map is not None:
         config = options.map.fitting(config)
-    intake = intake_of(source)
     origin = intake.origin
     if intake.is_reversed and isinstance(config.semantics, MaskFilesConfig):
         raise ConfigError("--reverse changes the numbers and times by which masks are found; leave one of them out")
@@ -144,7 +154,7 @@ def run(
     )
     with StopRequest() as stop, slam:
         folder = _folder(origin.name, slam.config, options)
-        outcome = RunOutcome(config.method, folder, slam.system, slam.clock, doubts=slam.doubts)
+        outcome = RunOutcome(config.method, folder, slam.system, slam.clock, doubts=slam.doubts, warnings=warnings)
         outcome.map_file, outcome.masks = slam.map_file, options.masks
         outcome.localized_in = None if options.map is None else options.map.read_only
         if folder is not None:
@@ -156,7 +166,7 @@ def run(
             slam.observe(options.observe(slam.system))
         with (
             viewed(slam, origin, options.viewers, outcome.ornaments) as viewers,
-            _concluded_in_any_case(outcome, intake, stop, options.pictures > 0, viewers),
+            _concluded_in_any_case(outcome, intake, stop, options, viewers),
             _until_idle(outcome),
             slam,
         ):
@@ -233,7 +243,7 @@ def _ended_by_camera(outcome: RunOutcome) -> Iterator[None]:
 
 @contextmanager
 def _concluded_in_any_case(
-    outcome: RunOutcome, intake: Intake, stop: StopRequest, with_plots: bool, viewers: Viewers
+    outcome: RunOutcome, intake: Intake, stop: StopRequest, options: RunOptions, viewers: Viewers
 ) -> Iterator[None]:
     """Evaluate and write the results when the block ends, however it ends; signals are then ignored."""
     try:
@@ -244,13 +254,13 @@ def _concluded_in_any_case(
         outcome.interrupted = True
     except BaseException:
         stop.hold()
-        _conclude(outcome, intake, with_plots, viewers)
+        _conclude(outcome, intake, options, viewers)
         raise
-    _conclude(outcome, intake, with_plots, viewers)
+    _conclude(outcome, intake, options, viewers)
     outcome.interrupted |= stop.asked
 
 
-def _conclude(outcome: RunOutcome, intake: Intake, with_plots: bool, viewers: Viewers) -> None:
+def _conclude(outcome: RunOutcome, intake: Intake, options: RunOptions, viewers: Viewers) -> None:
     trajectory, truth, folder = outcome.system.trajectory(), results.Truth.of(intake.origin), outcome.folder
     outcome.has_groundtruth = truth is not None or groundtruth_flaw(intake.origin) != ""
     outcome.n_unpaired = intake.n_unpaired(outcome.n_given)
@@ -263,16 +273,27 @@ def _conclude(outcome: RunOutcome, intake: Intake, with_plots: bool, viewers: Vi
         viewers.conclude(cloud)
     if folder is None:
         return
-    title = f"{outcome.method} on {intake.origin.name}"
+    pictures, title = folder / results.PICTURES, f"{outcome.method} on {intake.origin.name}"
     n_told, ornaments = outcome.ornaments.n_failed, outcome.ornaments
-    if with_plots:
-        draw_maps(folder / results.PICTURES, outcome.system, cloud, title, ornaments)
-    if with_plots and truth is not None and outcome.evaluation is not None:
-        draw_plots(folder / results.PICTURES, {outcome.method: trajectory}, truth.as_given, title, ornaments=ornaments)
+    if options.pictures > 0:
+        draw_maps(pictures, outcome.system, cloud, title, ornaments, options.formats)
+        if truth is not None and outcome.evaluation is not None:
+            estimates = {outcome.method: trajectory}
+            draw_plots(pictures, estimates, truth.as_given, title, ornaments=ornaments, formats=options.formats)
     if ornaments.n_failed > n_told:
         with ornaments.drawing():  # the figures are there already, but for this count
             results.write_run_metrics(folder, outcome)
-    outcome.pictures = tuple(sorted((folder / results.PICTURES).glob("*.png")))
+    outcome.pictures = tuple(sorted(pictures.glob("*.png")))
+    if options.report:
+        _write_report(outcome, folder)
+
+
+def _write_report(outcome: RunOutcome, folder: Path) -> None:
+    """Write the report of what is there; that it cannot be written is a warning."""
+    with ending_nothing("the report is left out"):
+        if outcome.warnings:
+            replace_text(folder / results.WARNINGS, "".join(f"{warning}\n" for warning in outcome.warnings))
+        outcome.report = write_run_page(folder)
 
 
 def _evaluate(outcome: RunOutcome, trajectory: Trajectory, truth: results.Truth | None) -> None:

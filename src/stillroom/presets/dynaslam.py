@@ -1,8 +1,9 @@
 """DynaSLAM N+G: a network's masks, and multi-view geometry for what no class names.
 
 Differs from the paper: the masks are the PSPNet's of `pspnet-slam`, by class and not by instance. Mask R-CNN takes
-seconds an image on a CPU; any network in an ONNX file can be set instead (`semantics.kind = "onnx-masks"`). The network
-sees every second image; flow and depth carry its masks to the others. The thresholds of the geometry are our own; the
+seconds an image on a CPU; it, or any network in an ONNX file, can be set instead (`semantics.kind = "onnx-instances"`,
+`"onnx-masks"`; docs/add-a-segmenter.md has a recipe). The network sees every second image; flow and depth carry its
+masks to the others. The thresholds of the geometry are our own; the
 paper's and its code's are `--set dynamics.kind=multiview-paper` and `multiview-code`. Between keyframes most images
 are tracked by optical flow, as in `oc-slam`. What moves is inpainted by `stillroom inpaint --method dynaslam`.
 """

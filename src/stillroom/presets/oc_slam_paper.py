@@ -6,9 +6,9 @@ whole, with its box (2.4, 2.5); a dense map of all keyframes, from which the clu
 removed by Kd-tree, and nothing else is (2.3, 2.6). Loops are off, as in the paper's evaluation, and no final bundle
 adjustment follows.
 
-Differs from the paper: where its text leaves something open or prints a slip, see `dynamics/paper_epipolar.py` and
-`dynamics/paper_clusters.py`. YOLO-Fastest 1.1 is the published COCO network. Tracking and mapping are this project's
-ORB-SLAM2 (`orb-slam2`), with its sub-maps.
+Differs from the paper (docs/reference.md#oc-slam): where its text leaves something open or prints a slip, see
+`dynamics/paper_epipolar.py` and `dynamics/paper_clusters.py`. YOLO-Fastest 1.1 is the published COCO network. Tracking
+and mapping are this project's ORB-SLAM2 (`orb-slam2`), with its sub-maps.
 """
 
 from stillroom.config import SlamConfig

@@ -16,6 +16,8 @@ from stillroom.config import SlamConfig, read_toml, updated, with_overrides
 from stillroom.errors import ConfigError
 from stillroom.plugins import PluginGroup
 from stillroom.presets import (
+    detect_slam,
+    ds_slam,
     dynaslam,
     dynaslam_g,
     dynaslam_n,
@@ -23,7 +25,10 @@ from stillroom.presets import (
     oc_slam_paper,
     orb_slam2,
     pspnet_slam,
+    pspnet_slam_paper,
+    sof_slam,
     stillroom,
+    zhang_slam,
 )
 from stillroom.presets.method import Method
 
@@ -38,9 +43,14 @@ OWN = (
     oc_slam.METHOD,
     oc_slam_paper.METHOD,
     pspnet_slam.METHOD,
+    pspnet_slam_paper.METHOD,
     dynaslam.METHOD,
     dynaslam_n.METHOD,
     dynaslam_g.METHOD,
+    ds_slam.METHOD,
+    detect_slam.METHOD,
+    sof_slam.METHOD,
+    zhang_slam.METHOD,
 )
 DEFAULT = oc_slam.METHOD.name
 

@@ -8,7 +8,7 @@ import numpy as np
 from stillroom.data.image import RgbdImage
 from stillroom.data.semantics import Box, Semantics, nothing
 from stillroom.geometry.arrays import I64, Floats
-from stillroom.protocols import Segmenter
+from stillroom.protocols import KeyframeSegmenter, Segmenter
 
 FrameRange = tuple[int, int]
 
@@ -69,6 +69,13 @@ def withhold(segmenter: Segmenter, ranges: Sequence[FrameRange]) -> Segmenter:
     """
     if isinstance(segmenter, HasDetector):
         return segmenter.with_detector(WithheldDetector(segmenter.detector, ranges))
+    return silenced(segmenter, ranges)
+
+
+def silenced(segmenter: Segmenter, ranges: Sequence[FrameRange]) -> Segmenter:
+    """Return a segmenter that finds nothing in the images of some ranges; of keyframes alone, if it sees only these."""
+    if isinstance(segmenter, KeyframeSegmenter):
+        return WithheldKeyframeSegmenter(segmenter, ranges)
     return WithheldSegmenter(segmenter, ranges)
 
 
@@ -96,6 +103,18 @@ class WithheldSegmenter:
         if _within(image, self._ranges):
             return nothing(image.height, image.width)
         return self._segmenter(image)
+
+
+class WithheldKeyframeSegmenter(WithheldSegmenter):
+    """The same of a network that sees keyframes only; it does not see those of the ranges."""
+
+    def __init__(self, segmenter: KeyframeSegmenter, ranges: Sequence[FrameRange]) -> None:
+        super().__init__(segmenter, ranges)
+        self._see = segmenter.see
+
+    def see(self, image: RgbdImage) -> Semantics:
+        """Return what the network finds in a keyframe, or empty semantics."""
+        return nothing(image.height, image.width) if _within(image, self._ranges) else self._see(image)
 
 
 def _within(image: RgbdImage, ranges: Sequence[FrameRange]) -> bool:

@@ -9,10 +9,12 @@ from stillroom.errors import ConfigError
 from stillroom.protocols import Parts, Segmenter
 from stillroom.semantics.carried_boxes import CarriedBoxes, CarryConfig
 from stillroom.semantics.detector import EachFrameAlone
+from stillroom.semantics.keyframe_boxes import KeyframeBoxes
 from stillroom.semantics.onnx.darknet import DarknetFile
 from stillroom.semantics.onnx.layouts import DetectionRequest
 from stillroom.semantics.onnx.onnx_detector import DetectionNetwork, DetectorInput, OnnxDetector
 from stillroom.semantics.onnx.onnx_session import find_model, open_content
+from stillroom.semantics.seen_images import IMAGES, KEYFRAMES, SEES
 
 SHIPPED = {"1.1": "yolo_fastest_1.1_coco.onnx", "1.1-xl": "yolo_fastest_1.1_xl_coco.onnx"}
 EVERY_CLASS = ("*",)
@@ -30,6 +32,8 @@ class YoloFastestConfig:
         model: Another network, a file of `stillroom export yolo`; a bare name is looked up in the model folders.
             Empty is the variant that comes with Stillroom.
         carry: How boxes are propagated over the frames in which they are missed.
+        sees: Which images the network sees: all "images", or "keyframes" only, whose boxes are not propagated
+            (docs/reference.md#detect-slam).
     """
 
     variant: str = bounded("1.1", one_of=tuple(SHIPPED))
@@ -38,6 +42,7 @@ class YoloFastestConfig:
     movable: tuple[str, ...] = ("person",)
     model: Path | None = None
     carry: CarryConfig = field(default_factory=CarryConfig)
+    sees: str = bounded(IMAGES, one_of=SEES)
 
     def build(self, parts: Parts | None = None) -> Segmenter:
         """Return the detector.
@@ -46,6 +51,8 @@ class YoloFastestConfig:
             ConfigError: A value is impossible, or a class is not among the network's.
             WeightsError: The network's file is absent, damaged, or none of `stillroom export yolo`.
         """
+        if self.sees == KEYFRAMES:
+            return KeyframeBoxes(self.build_detector(self.confidence))
         if not self.carry.enabled:
             return EachFrameAlone(self.build_detector(self.confidence))
         detector = self.build_detector(self.carry.lowest(self.confidence))

@@ -67,7 +67,7 @@ def draw_sparse_map(
     """Draw a sparse map from above and at a slant.
 
     Args:
-        path: The PNG to write, 1800 by 720 pixels.
+        path: The file to write: PNG, 1800 by 720 pixels, or SVG or PDF by its suffix.
         points_m: Map points (P, 3) [m, world].
         T_world_keyframes: Poses of the keyframes (K, 4, 4), in order of time; at least one.
         trajectory: The camera's path, if it is to be drawn.

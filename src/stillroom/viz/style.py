@@ -48,17 +48,30 @@ _RC: dict[str, Any] = {
     "lines.linewidth": 1.6,
     "lines.solid_capstyle": "round",
     "figure.facecolor": "white",
+    "svg.hashsalt": "stillroom",
+    "pdf.fonttype": 42,
 }
+
+
+FORMATS = ("png", "svg", "pdf")
+"""What plots are written as."""
+
+_SAME_BYTES: dict[str, dict[str, Any]] = {
+    "png": {},
+    "svg": {"metadata": {"Date": None}},
+    "pdf": {"metadata": {"CreationDate": None}},
+}
+"""Without the time of writing: the same plot gives the same bytes."""
 
 
 @contextmanager
 def picture(path: Path, width_in: float, height_in: float) -> Iterator[Any]:
-    """Yield a matplotlib figure in the package's style, and write it as PNG when the block ends without error.
+    """Yield a matplotlib figure in the package's style, and write it when the block ends without error.
 
     No display is needed and no global state is touched: plots may be drawn on any thread of a server.
 
     Args:
-        path: The file to write; its folder is made.
+        path: The file to write, of the format that its suffix names (see `FORMATS`), else PNG; its folder is made.
         width_in, height_in: Size in inches, of 150 pixels each.
 
     Raises:
@@ -73,10 +86,17 @@ def picture(path: Path, width_in: float, height_in: float) -> Iterator[Any]:
         FigureCanvasAgg(figure)
         yield figure
         drawn = BytesIO()
-        figure.savefig(drawn, format="png")
+        kind = format_of(path)
+        figure.savefig(drawn, format=kind, **_SAME_BYTES[kind])
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise cannot_be_written(path, error) from error
     with replacing(path, durable=False) as file:
         file.write(drawn.getvalue())
+
+
+def format_of(path: Path) -> str:
+    """Return the format in which a plot is written to a path: what its suffix names, else PNG."""
+    kind = path.suffix.lower().removeprefix(".")
+    return kind if kind in FORMATS else "png"

@@ -1,4 +1,4 @@
-"""Trajectories against the ground truth, as PNG: from above, over time, and their error over time."""
+"""Trajectories against the ground truth: from above, over time, and their error over time."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -20,19 +20,18 @@ def plot_from_above(path: Path, estimates: Mapping[str, Trajectory], groundtruth
     """Draw paths in the plane in which the true one extends most, on equal axes.
 
     Args:
-        path: The PNG to write.
+        path: The file to write: PNG, or SVG or PDF by its suffix.
         estimates: Trajectories aligned with the ground truth, by their name in the legend; at least one.
         groundtruth: The true one, of at least one pose.
         title: Shown above.
     """
-    extent_m = np.ptp(groundtruth.positions_m, axis=0)
-    across, up = sorted(np.argsort(-extent_m, kind="stable")[:2])
+    across, up = plane_of(groundtruth.positions_m)
     with picture(path, 7.0, 6.2) as figure:
         axes = figure.add_subplot()
-        _, true_m = _with_breaks(groundtruth.timestamps_s, groundtruth.positions_m)
+        _, true_m = with_breaks(groundtruth.timestamps_s, groundtruth.positions_m)
         axes.plot(true_m[:, across], true_m[:, up], color=TRUTH, lw=1.4, label="ground truth")
         for (name, trajectory), color in zip(estimates.items(), _colors(), strict=False):
-            _, positions_m = _with_breaks(trajectory.timestamps_s, trajectory.positions_m)
+            _, positions_m = with_breaks(trajectory.timestamps_s, trajectory.positions_m)
             axes.plot(positions_m[:, across], positions_m[:, up], color=color, label=name)
         start_m = groundtruth.positions_m[0]
         axes.plot(start_m[across], start_m[up], "o", ms=7, mfc="white", mec=TRUTH, mew=1.4, zorder=5, label="start")
@@ -47,10 +46,10 @@ def plot_over_time(path: Path, estimates: Mapping[str, Trajectory], groundtruth:
     with picture(path, 9.0, 6.4) as figure:
         panels = figure.subplots(3, 1, sharex=True)
         for axis, panel in enumerate(panels):
-            times_s, true_m = _with_breaks(groundtruth.timestamps_s, groundtruth.positions_m)
+            times_s, true_m = with_breaks(groundtruth.timestamps_s, groundtruth.positions_m)
             panel.plot(times_s - start_s, true_m[:, axis], color=TRUTH, lw=1.4, label="ground truth")
             for (name, trajectory), color in zip(estimates.items(), _colors(), strict=False):
-                times_s, positions_m = _with_breaks(trajectory.timestamps_s, trajectory.positions_m)
+                times_s, positions_m = with_breaks(trajectory.timestamps_s, trajectory.positions_m)
                 panel.plot(times_s - start_s, positions_m[:, axis], color=color, label=name)
             panel.set_ylabel(f"{AXES[axis]} [m]")
         panels[0].set_title(title)
@@ -68,7 +67,7 @@ def plot_error(
     """Draw the distance to the truth over time, and the static-pose baseline as a line.
 
     Args:
-        path: The PNG to write.
+        path: The file to write: PNG, or SVG or PDF by its suffix.
         errors: By name, times (N,) [s] and errors (N,) [m]; at least one, of at least one pose.
         still_camera_m: RMSE of the static-pose baseline [m]; above it an estimate is worse than none.
         title: Shown above.
@@ -77,7 +76,7 @@ def plot_error(
     with picture(path, 9.0, 3.8) as figure:
         axes = figure.add_subplot()
         for (name, (times_s, errors_m)), color in zip(errors.items(), _colors(), strict=False):
-            shown_s, shown_m = _with_breaks(times_s, errors_m[:, None])
+            shown_s, shown_m = with_breaks(times_s, errors_m[:, None])
             axes.plot(shown_s - start_s, shown_m[:, 0], color=color, label=name)
         if still_camera_m is not None:
             label = f"static-pose baseline ({still_camera_m:.3f} m)"
@@ -86,6 +85,13 @@ def plot_error(
         axes.set_ylim(bottom=0.0)
         axes.margins(x=0.01)
         _legend_below(figure, axes)
+
+
+def plane_of(positions_m: F64) -> tuple[int, int]:
+    """Return the two axes along which positions (N, 3) extend most, N ≥ 1, in the order of their names."""
+    extent_m = np.ptp(positions_m, axis=0)
+    across, up = sorted(int(axis) for axis in np.argsort(-extent_m, kind="stable")[:2])
+    return across, up
 
 
 def _legend_below(figure: Any, axes: Any) -> None:
@@ -98,8 +104,8 @@ def _colors() -> list[str]:
     return list(ESTIMATES) * 4
 
 
-def _with_breaks(times_s: F64, values: F64) -> tuple[F64, F64]:
-    """Put a NaN into times (N,) and values (N, D) wherever a gap in time is to interrupt the line."""
+def with_breaks(times_s: F64, values: F64) -> tuple[F64, F64]:
+    """Return times (N,) and values (N, D) with a NaN wherever a gap in time is to interrupt the line."""
     if len(times_s) < 3:
         return times_s, values
     steps_s = np.diff(times_s)

@@ -21,6 +21,7 @@ from stillroom.dense.dense_mapper import DenseMapperConfig
 from stillroom.dense.export.mesh import MeshConfig
 from stillroom.dense.export.signed_distance import blocks
 from stillroom.dense.inpainting import InpaintingConfig
+from stillroom.dense.octomap import OctoMapConfig
 from stillroom.dynamics.ants.colony import PathConfig
 from stillroom.dynamics.ants.search import ReverseSearchConfig
 from stillroom.dynamics.asking import Asking
@@ -118,6 +119,7 @@ def do_everything() -> None:
     segment()
     recognise(system)
     reduce_sparsely()
+    occupy(system)
     cloud = correct(system)
     draw(cloud, system)
     paint_out(cloud, system)
@@ -179,6 +181,15 @@ def correct(system: System) -> DenseCloud:
     cloud = system.dense_mapper.cloud()
     assert cloud is not None, "the made-up scene is mapped densely"
     return cloud
+
+
+def occupy(system: System) -> None:
+    """Make an occupancy map of two keyframes."""
+    octomap = OctoMapConfig().build(Parts(CAMERA, system.map))
+    for keyframe, image in zip(system.map.alive_keyframes()[:2], images(), strict=False):
+        octomap.integrate(int(keyframe), image)
+    octomap.refresh()
+    octomap.cloud()
 
 
 def draw(cloud: DenseCloud, system: System) -> None:

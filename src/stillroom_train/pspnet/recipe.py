@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 
 from stillroom.errors import ConfigError
+from stillroom_train.pspnet.networks.steps import Architecture
 
 SMALLEST = 33
 """Least side of a crop [px]: three pixels of the scores."""
@@ -139,3 +140,14 @@ def preset(name: str, **changes: object) -> Recipe:
     recipe = replace(PRESETS[name], **{key: value for key, value in changes.items() if value is not None})  # type: ignore[arg-type]
     recipe.check()
     return recipe
+
+
+def fitting(recipe: Recipe, network: Architecture) -> Recipe:
+    """Return a recipe whose crops have the sides, or the next smaller ones, that a network's scores cover exactly.
+
+    They are multiples of its stride, and one more where the corners of scores lie on corner pixels. Labels and enlarged
+    scores then are of one size.
+    """
+    more = 1 if network.corners else 0
+    sides = [[(side - more) // network.stride * network.stride + more for side in crop] for crop in recipe.crops]
+    return replace(recipe, crop=tuple(f"{rows}x{columns}" for rows, columns in sides))

@@ -19,7 +19,7 @@ from stillroom_train.pspnet.networks.torch_network import torch_or_error
 from stillroom_train.pspnet.pictures.batches import Batches
 from stillroom_train.pspnet.pictures.example import PEOPLE, Example
 from stillroom_train.pspnet.pictures.gather import PERSON, held_out
-from stillroom_train.pspnet.recipe import Recipe
+from stillroom_train.pspnet.recipe import Recipe, fitting
 
 CHECKPOINT, LOG, MODEL = "checkpoint.pt", "log.jsonl", "pspnet.onnx"
 
@@ -101,7 +101,7 @@ def train(plan: Plan, examples: list[Example], weights: Weights, told: Told) -> 
         _join(plan.device)
         learner.in_parallel()
     log = _Log(plan.out / LOG, told) if process == 0 else None
-    _learn(learner, Batches(examples, plan.recipe, plan.seed, process), plan, log)
+    _learn(learner, Batches(examples, fitting(plan.recipe, network), plan.seed, process), plan, log)
     if log is not None:
         learner.store(checkpoint)
         log(look(learner, plan))

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 import pytest
 from asked import ask, remember
+from building import parts
 from flat_wall import before_the_wall
 from small_world import CAMERA, SCALES, SmallWorld, no_semantics, pose
 
@@ -18,6 +19,8 @@ from stillroom.data.result import FrameResult, Tracked
 from stillroom.data.semantics import Box, Instance, Semantics
 from stillroom.datasets.open import open_dataset
 from stillroom.datasets.selection import select
+from stillroom.dynamics.ants.search import papers_search
+from stillroom.dynamics.multiview.multiview_geometry import DYNAMIC, UNSEEN, AlongPath
 from stillroom.dynamics.multiview.multiview_sieve import (
     CodeMultiViewConfig,
     MultiViewConfig,
@@ -27,8 +30,10 @@ from stillroom.dynamics.multiview.multiview_sieve import (
 )
 from stillroom.dynamics.multiview.views import KeyframesConfig, KeyframeViews
 from stillroom.errors import ConfigError
+from stillroom.features.orb import OrbConfig
 from stillroom.geometry import se3
 from stillroom.geometry.pixels import Shape, grown
+from stillroom.protocols import Parts
 from stillroom.schedule import Done
 from stillroom.system import build
 
@@ -315,3 +320,61 @@ def test_a_map_that_jumps_is_no_turn_of_the_camera() -> None:
 def test_impossible_values_are_named(config: MultiViewConfig, said: str) -> None:
     with pytest.raises(ConfigError, match=said):
         config.build()
+
+
+@pytest.mark.parametrize("config", [MultiViewConfig(), PaperMultiViewConfig(), CodeMultiViewConfig()])
+def test_every_point_is_tested_by_default(config: MultiViewConfig) -> None:
+    assert config.search == "all"
+    assert config.ants == papers_search()
+
+
+def test_the_ants_verdicts_equal_the_exhaustive_tests_on_what_they_visit() -> None:
+    """On real projections into rendered frames: the same test, on fewer points."""
+    dataset = select(open_dataset("synthetic:walking"), "0:150:5")
+    config = PaperMultiViewConfig(network=False)
+    geometry, along = config.test.build(), AlongPath(config.ants.build(3))
+    world, orb = Map(SCALES), OrbConfig().build(parts(dataset.camera))
+    poses = dataset.groundtruth.T_world_cam
+    shares, n_dynamic, n_found = [], 0, 0
+    for place in range(len(dataset)):
+        frame, T_world_cam = orb.extract(dataset.load(place)), poses[5 * place]
+        seen = [geometry.points_in_view(frame, se3.inverse(T_world_cam), world) for _ in range(2)]
+        nothing_there = np.zeros(frame.image.gray.shape, np.bool_)
+        if seen[0] is not None and seen[1] is not None:
+            geometry.test(seen[0], seen[0].in_view)
+            along.test(geometry, seen[1])
+            visited = seen[1].in_view[along.found.is_tested]
+            np.testing.assert_array_equal(seen[1].verdict[visited], seen[0].verdict[visited])
+            left = np.setdiff1d(np.arange(len(seen[0].verdict)), visited)
+            assert np.all(seen[1].verdict[left] == UNSEEN)
+            shares.append(along.found.share_tested)
+            n_dynamic += np.count_nonzero(seen[0].verdict == DYNAMIC)
+            n_found += np.count_nonzero(seen[1].verdict == DYNAMIC)
+            along.remember()
+            assert along.found is None
+        unseen, every = np.full(len(frame), -1, np.int32), np.ones(len(frame), np.bool_)
+        keyframe = world.add_keyframe(frame, T_world_cam, unseen, every, parent=-1)
+        geometry.views.note(frame, se3.inverse(T_world_cam), nothing_there, keyframe)
+    assert len(shares) > 20
+    assert np.mean(shares) < 0.8
+    assert n_dynamic > 100
+    assert 0.3 < n_found / n_dynamic < 1.0
+
+
+def test_the_colony_finds_movers_in_the_sieve_too() -> None:
+    config = PaperMultiViewConfig(network=False, search="reverse-ants")
+    along, every = (
+        judged("synthetic:walking", "0:180:3", config),
+        judged("synthetic:walking", "0:180:3", replace(config, search="all")),
+    )
+    assert 0.25 < along.recall(along.pixels) < every.recall(every.pixels)
+    assert along.precision(along.pixels) > 0.9
+
+
+def test_the_seed_is_the_ants() -> None:
+    config = MultiViewConfig(search="reverse-ants")
+    world = Map(SCALES)
+    paths = [config.build(Parts(CAMERA, world, seed))._along._ants.path._draws for seed in (1, 1, 2)]
+    np.testing.assert_array_equal(paths[0], paths[1])
+    assert not np.array_equal(paths[0], paths[2])
+    assert MultiViewConfig().build()._along is None

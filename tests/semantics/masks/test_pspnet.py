@@ -51,7 +51,7 @@ def test_the_answer_lies_where_the_thing_is(corners: bool, size: str, image_px, 
     height, width = image_px
     rgb = np.zeros((height, width, 3), np.uint8)
     rgb[..., 0] = np.clip((np.arange(width) - 0.5 * width + 32) * 4, 0, 255)
-    network = PspNetConfig(model=save_red_pspnet(tmp_path / "red.onnx", corners), input=size).build()._network
+    network = PspNetConfig(model=save_red_pspnet(tmp_path / "red.onnx", corners), input=size).build().reading.network
     told = network.probabilities(rgb, width // 2, height // 2)[0]
     assert told.shape == (height // 2, width // 2)
     # probability of one of 21 classes: e^s / (e^s + 20), s = 0.05 red

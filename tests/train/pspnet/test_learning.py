@@ -52,7 +52,7 @@ def test_the_loss_falls_and_the_file_says_what_torch_says(torch, tmp_path: Path)
     file = tmp_path / "pspnet.onnx"
     write_onnx(file, learns.architecture, learns.result(), half=False)
 
-    network = PspNetConfig(model=file).build()._network
+    network = PspNetConfig(model=file).build().reading.network
     blob = np.random.default_rng(0).uniform(-1, 1, (1, 3, 97, 129)).astype(np.float32)
     told = network._session.run(None, {"image": blob})[0]
     state = learns.network.state_dict()
@@ -186,7 +186,7 @@ def test_the_command_trains_resumes_and_exports(torch, tmp_path: Path, monkeypat
 
 
 def run(path: Path) -> np.ndarray:
-    network = configure("pspnet-slam", overrides=[f"semantics.model={path}"]).semantics.build()._network
+    network = configure("pspnet-slam", overrides=[f"semantics.model={path}"]).semantics.build().reading.network
     return network.probabilities(people_example().rgb, 160, 120)
 
 

@@ -9,6 +9,7 @@ from stillroom.errors import ConfigError, WeightsError
 from stillroom_train.pspnet.networks.registry import architecture
 from stillroom_train.pspnet.networks.starts import backbone_weights, deeplab_head, named_weights
 from stillroom_train.pspnet.networks.steps import MaxPool, Pyramid
+from stillroom_train.pspnet.recipe import PRESETS, fitting, preset
 
 MOBILENET, RESNET = architecture("mobilenetv2"), architecture("resnet50")
 
@@ -88,6 +89,19 @@ def test_strides_and_dilations(network, stride: int) -> None:
         assert dilations == [1] * 3 + [1] * 3 + [1] * 4 + [1] + [2] * 5 + [2] + [4] * 2
     else:
         assert dilations == [1] * 15 + [2] * 3
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_crops_fit_the_scores_of_each_network(name: str) -> None:
+    """Labels lie at 0, 4, 8 …; scores are enlarged to a fourth of what the features cover."""
+    for network in (MOBILENET, RESNET):
+        for side in {side for crop in fitting(preset(name), network).crops for side in crop}:
+            features = -(-side // network.stride)
+            times = network.stride // 4
+            enlarged = (features - 1) * times + 1 if network.corners else features * times
+            assert enlarged == -(-side // 4)
+    assert fitting(preset(name), MOBILENET) == preset(name), "these sides fit already"
+    assert fitting(preset("paper"), RESNET).crop == ("480x640",), "PSPNet-SLAM IV"
 
 
 class Tensor:

@@ -1,6 +1,8 @@
 """Rendered clouds: things stand where they should, in their colours, on a clean background."""
 
+from base64 import b64decode
 from pathlib import Path
+from xml.etree import ElementTree
 
 import cv2
 import numpy as np
@@ -11,7 +13,7 @@ from stillroom.data.dense_cloud import DenseCloud
 from stillroom.errors import ConfigError, StillroomError
 from stillroom.geometry import se3
 from stillroom.geometry.camera import Camera
-from stillroom.viz.cloud.render import GAP_PX, CloudRendererConfig, creases, draw_dense_pair, fill_gaps
+from stillroom.viz.cloud.render import GAP_PX, CloudRendererConfig, creases, draw_dense_pair, fill_gaps, write_panels
 from stillroom.viz.cloud.splat import splat
 from stillroom.viz.cloud.view import Viewpoint, default_view
 
@@ -141,3 +143,25 @@ def test_the_pair_takes_a_view_and_names_a_place_it_cannot_write(room, poses, tm
 def test_an_impossible_value_is_named(config: dict[str, float], word: str) -> None:
     with pytest.raises(ConfigError, match=word):
         CloudRendererConfig(**config).build()
+
+
+@pytest.mark.filterwarnings("error")
+def test_panels_for_a_paper_lie_where_they_do_in_pixels(tmp_path: Path) -> None:
+    """Each fills its half; a picture that took its pixels for points would reach beyond the page."""
+    panels = [np.full((300, 400, 3), color, np.uint8) for color in ((200, 40, 30), (30, 160, 60))]
+    write_panels(tmp_path / "pair.svg", panels, ("one", "two"), ["1", "2"])
+    drawn = ElementTree.parse(tmp_path / "pair.svg").getroot()
+    width, height = (float(side) for side in drawn.attrib["viewBox"].split()[2:])
+    assert (width, height) == pytest.approx(((800 + GAP_PX) * 72 / 150, 300 * 72 / 150))
+    images = list(drawn.iter("{http://www.w3.org/2000/svg}image"))
+    assert len(images) == 2
+    for image, panel, left in zip(images, panels, (0, 400 + GAP_PX), strict=True):
+        assert (image.attrib["width"], image.attrib["height"]) == ("400", "300")
+        moved = [float(number) for number in image.attrib["transform"].removeprefix("matrix(").rstrip(")").split()]
+        assert moved == pytest.approx([72 / 150, 0, 0, 72 / 150, left * 72 / 150, 0], abs=0.01)
+        png = b64decode(image.attrib["{http://www.w3.org/1999/xlink}href"].partition(",")[2])
+        picture = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR_RGB)
+        assert picture is not None
+        assert np.abs(picture[50:250, 50:350].astype(int) - panel[0, 0]).max() <= 1
+    write_panels(tmp_path / "pair.pdf", panels, ("one", "two"), ["1", "2"])
+    assert (tmp_path / "pair.pdf").read_bytes().count(b"/Subtype /Image") == 2

@@ -1,12 +1,13 @@
-"""`stillroom bench`: accuracy over seeds, the benefit of rejection, time per frame, and ghosts in the map."""
+"""`stillroom bench`: accuracy over seeds, the benefit of rejection, time per frame, ghosts, and grids of runs."""
 
 import typer
 
 from stillroom.cli.bench.geometry import ablation, geometry
+from stillroom.cli.bench.grid import grid
 from stillroom.cli.bench.trials import accuracy, ghosts, parts, rejection, speed
 
 HELP = "Measure accuracy, the benefit of rejection, speed, and ghosts."
 
 app = typer.Typer(no_args_is_help=True, help=HELP)
-for command in (accuracy, rejection, parts, speed, ghosts, geometry, ablation):
+for command in (accuracy, rejection, parts, speed, ghosts, geometry, ablation, grid):
     app.command()(command)

@@ -10,7 +10,7 @@ from stillroom.bench import ablation as combining
 from stillroom.bench.ablation import Ablated
 from stillroom.bench.geometry_table import HEADER, GeometryTable, geometry_table, write_geometry_picture
 from stillroom.bench.observers import GeometryTrialConfig, MovingThings
-from stillroom.cli.arguments import Settings
+from stillroom.cli.arguments import Settings, Tables
 from stillroom.cli.bench.session import Bench, Camera, Frames, Out, Runs, Sequences
 from stillroom.cli.output import print_lines, say
 from stillroom.config import SlamConfig
@@ -38,23 +38,23 @@ def geometry(
     frames: Frames = None,
     camera: Camera = None,
     settings: Settings = None,
+    tables: Tables = None,
     out: Out = None,
 ) -> None:
     """Test every point as DynaSLAM does, and along the ants' path as PSPNet-SLAM does: PSPNet-SLAM's Table 2.
 
-    The same images, poses and points for both; once with PSPNet-SLAM's test of a point, once with DynaSLAM's, with and
-    without growing regions from what was found.
+    The same images, poses and points for both; with the test of a point that we made of PSPNet-SLAM's, with DynaSLAM's,
+    and with PSPNet-SLAM's as printed; with and without growing regions from what was found.
     """
     config = configure(method, None, settings or ())
     trial = GeometryTrialConfig(network=network, homography=combining.homography_of(config), picture_of=picture_of)
-    bench = Bench("geometry", out)
+    bench = Bench("geometry", out, tables)
     for sequence in sequences:
         dataset = bench.open(Source(sequence, camera, frames=frames))
         warm_up()  # also when they are compiled: loading must not count for the first image
 
         for table in bench.each({method: config}, _measuring(bench, dataset, trial)):
-            bench.print_table(dataset.name, HEADER, table.rows())
-            print_lines(table.sentences())
+            bench.print_table(dataset.name, HEADER, table.rows(), table.sentences())
             bench.keep(table.to_dict())
             if picture is not None and table.shown is not None:
                 write_geometry_picture(picture, table.shown, dataset.camera)
@@ -84,6 +84,7 @@ def ablation(
     frames: Frames = None,
     camera: Camera = None,
     settings: Settings = None,
+    tables: Tables = None,
     out: Out = None,
 ) -> None:
     """Compare network only, geometry only, both, both with the ants, and a plain with the compensated homography.
@@ -95,15 +96,15 @@ def ablation(
     core, longer when kernels are compiled first.
     """
     configs = _chosen(combining.ablation(configure(method, None, settings or ())), only)
-    bench = Bench("ablation", out)
+    bench = Bench("ablation", out, tables)
     for sequence in sequences:
         dataset = bench.open(Source(sequence, camera, frames=frames))
         room = rendered(dataset)
         things = None if room is None else MovingThings(room)
         table = bench.each(configs, _ablating(bench, dataset, runs, things))
         if table:
-            bench.print_table(dataset.name, combining.HEADER, [one.row() for one in table])
-            print_lines(combining.sentences(table))
+            rows, notes = [one.row() for one in table], combining.sentences(table)
+            bench.print_table(dataset.name, combining.HEADER, rows, notes)
             bench.keep([one.to_dict(table[0]) for one in table])
     bench.finish()
 

@@ -9,13 +9,17 @@ from typing import Annotated, Any, TypeVar
 import typer
 
 from stillroom.bench.accuracy import Accuracy
+from stillroom.bench.page import NamedTable, series_of, write_bench_page
 from stillroom.bench.trial import attempt, poses_only
+from stillroom.cli.arguments import chosen_of
 from stillroom.cli.output import STDERR, FrameBar, print_lines, print_table, say, show_log
+from stillroom.cli.tables import FORMS, write_table
 from stillroom.cli.warmup import ensure_warm
 from stillroom.config import SlamConfig
 from stillroom.datasets.recording import rendered
 from stillroom.errors import StillroomError
 from stillroom.pipeline import Source
+from stillroom.pipeline.ornaments import ending_nothing
 from stillroom.protocols import Dataset
 from stillroom.semantics.detector import FrameRange
 from stillroom.session.provenance import provenance
@@ -41,10 +45,15 @@ class Bench:
         bar: The progress bar of its runs.
     """
 
-    def __init__(self, kind: str, out: Path | None) -> None:
-        """Start one of a kind; its figures go to `out`, or into `results/`."""
+    def __init__(self, kind: str, out: Path | None, tables: list[str] | None = None) -> None:
+        """Start one of a kind; its figures go to `out`, or into `results/`, and its page and `tables` beside them.
+
+        Raises:
+            ConfigError: A form of tables is not known.
+        """
         show_log()
-        self._kind = kind
+        self._kind, self._forms = kind, chosen_of("--table", tables, tuple(FORMS))
+        self._tables: list[NamedTable] = []
         self._out = out or Path("results") / f"{datetime.now():%Y-%m-%d_%H-%M-%S}_bench-{kind}.json"
         self._rows: list[dict[str, Any]] = []
         self.bar = FrameBar(STDERR)
@@ -89,24 +98,45 @@ class Bench:
 
         return measure
 
-    def print_table(self, title: str, header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
-        """Print rows under a title."""
+    def print_table(
+        self, title: str, header: Sequence[str], rows: Iterable[Sequence[str]], notes: Sequence[str] = ()
+    ) -> None:
+        """Print rows under a title, and sentences below them; they are kept for the page and for `--table`."""
+        table = NamedTable(title, header, list(rows), notes=notes)
         print_lines(["", title])
-        print_table(header, rows)
+        print_table(header, table.rows)
+        print_lines(notes)
+        self._tables.append(table)
 
     def keep(self, rows: list[dict[str, Any]]) -> None:
         """Keep figures for the file."""
         self._rows += rows
 
     def finish(self) -> None:
-        """Write the file; leave with an error where the user stopped it."""
+        """Write the file, the page and the tables; leave with an error where the user stopped it."""
         if self._rows:
-            content = {"bench": self._kind, "rows": self._rows, "run": provenance()}
+            how = provenance()
+            content = {"bench": self._kind, "rows": self._rows, "run": how}
             _write(self._out, json.dumps(content, indent=2) + "\n")
             print_lines([f"figures: {self._out}"])
+            self._write_tables()
+            page = self._out.with_suffix(".html")
+            with ending_nothing("the page is left out"):
+                write_bench_page(page, f"stillroom bench {self._kind}", self._tables, series_of(self._rows), how)
+                print_lines([f"page: {page}"])
         if self._stopped:
             say("stopped; what was not finished is left out")
             raise typer.Exit(INTERRUPTED)
+
+    def _write_tables(self) -> None:
+        """Write each table in the forms that were asked for; one title twice gets a number."""
+        titles: dict[str, int] = {}
+        for table in self._tables:
+            titles[table.title] = n = titles.get(table.title, 0) + 1
+            title = table.title if n == 1 else f"{table.title} {n}"
+            stem = self._out.with_suffix("")
+            files = write_table(stem, title, table.header, table.rows, table.n_words, self._forms)
+            print_lines([f"table: {path}" for path in files])
 
 
 def _write(path: Path, text: str) -> None:

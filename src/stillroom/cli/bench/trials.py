@@ -16,7 +16,7 @@ from stillroom.bench.ghost_trials import ghosts as judged
 from stillroom.bench.parts import BOTH, HALF, Part, every_second_second
 from stillroom.bench.rejection import Way, ways
 from stillroom.bench.speed import Speed, UnitMeter
-from stillroom.cli.arguments import Settings
+from stillroom.cli.arguments import Settings, Tables
 from stillroom.cli.bench.session import Bench, Camera, Frames, Methods, Out, Runs, Sequence1, Sequences
 from stillroom.cli.output import print_lines, say
 from stillroom.config import SlamConfig
@@ -42,10 +42,12 @@ def ghosts(
         str | None, typer.Option("--map", metavar="A:B", help="Frames to map; by default all after these.")
     ] = None,
     picture: Annotated[
-        Path | None, typer.Option(metavar="PNG", help="Draw both maps side by side, and write them here.")
+        Path | None,
+        typer.Option(metavar="FILE", help="Draw both maps side by side, as PNG, or as PDF or SVG by its suffix."),
     ] = None,
     camera: Camera = None,
     settings: Settings = None,
+    tables: Tables = None,
     out: Out = None,
 ) -> None:
     """Map some frames with and without removing what moves: ghosts, completeness, surface error.
@@ -53,7 +55,7 @@ def ghosts(
     Real maps are compared with the free space that the reference frames saw, rendered ones with the truth.
     """
     config = configure(method, None, settings or ())
-    bench = Bench("ghosts", out)
+    bench = Bench("ghosts", out, tables)
     dataset = bench.open(Source(sequence, camera))
     chosen = stretches(dataset, reference, mapped)
 
@@ -62,8 +64,9 @@ def ghosts(
         return judged(dataset, name, config, chosen, bench.bar)
 
     for figures in bench.each({method: config}, measure):
-        bench.print_table(f"{method} on {dataset.name}", HEADER, [one.row() for one in figures.maps])
-        print_lines(figures.sentences())
+        bench.print_table(
+            f"{method} on {dataset.name}", HEADER, [one.row() for one in figures.maps], figures.sentences()
+        )
         bench.keep([figures.to_dict()])
         if picture is not None:
             figures.draw(picture)
@@ -81,17 +84,19 @@ def accuracy(
     ] = False,
     camera: Camera = None,
     settings: Settings = None,
+    tables: Tables = None,
     out: Out = None,
 ) -> None:
     """Run each method with several seeds: ATE, improvement over the first method, coverage, RPE, time of a frame."""
     configs = _configs(methods, settings)
-    bench = Bench("accuracy", out)
+    bench = Bench("accuracy", out, tables)
     for sequence in sequences:
         dataset = bench.open(Source(sequence, camera, frames=frames))
         table = bench.each(configs, bench.seeds_of(dataset, runs, dense=dense))
+        notes = exactness.sentences(table, dense) if table else []
         bench.print_table(dataset.name, exactness.HEADER, [row.row(table[0]) for row in table])
-        bench.print_table("", exactness.SMOOTHNESS_HEADER, [row.smoothness_row() for row in table])
-        print_lines(exactness.sentences(table, dense) if table else [])
+        smooth = [row.smoothness_row() for row in table]
+        bench.print_table(f"{dataset.name}: smoothness and time", exactness.SMOOTHNESS_HEADER, smooth, notes)
         bench.keep([row.to_dict(table[0]) for row in table])
     bench.finish()
 
@@ -103,17 +108,18 @@ def rejection(
     frames: Frames = None,
     camera: Camera = None,
     settings: Settings = None,
+    tables: Tables = None,
     out: Out = None,
 ) -> None:
     """Compare no rejection, whole boxes, OC-SLAM as printed and the preset: ATE, coverage, features kept."""
-    bench = Bench("rejection", out)
+    bench = Bench("rejection", out, tables)
     dataset = bench.open(Source(sequence, camera, frames=frames))
     configs = ways(configure(method, None, settings or ()))
     table = [Way(row) for row in bench.each(configs, bench.seeds_of(dataset, runs))]
     boxes = next((way for way in table if way.accuracy.method == rejecting.WHOLE_BOXES), None)
     if boxes is not None:
-        bench.print_table(dataset.name, rejecting.HEADER, [way.row(boxes) for way in table])
-        print_lines(rejecting.sentences(table))
+        rows = [way.row(boxes) for way in table]
+        bench.print_table(dataset.name, rejecting.HEADER, rows, rejecting.sentences(table))
         bench.keep([way.to_dict(boxes) for way in table])
     bench.finish()
 
@@ -125,6 +131,7 @@ def parts(
     frames: Frames = None,
     camera: Camera = None,
     settings: Settings = None,
+    tables: Tables = None,
     out: Out = None,
 ) -> None:
     """Compare neither boxes nor clusters, each alone, both, and both with the detector failing half the time.
@@ -132,7 +139,7 @@ def parts(
     It fails every second second from the first image with a detection on; propagated boxes are withheld too.
     """
     configs = combining.parts(configure(method, None, settings or ()))
-    bench = Bench("parts", out)
+    bench = Bench("parts", out, tables)
     dataset = bench.open(Source(sequence, camera, frames=frames))
     table = [Part(row) for row in bench.each(configs, bench.seeds_of(dataset, runs))]
     first = next((part.first_boxed for part in table if part.accuracy.method == BOTH), None)
@@ -140,8 +147,8 @@ def parts(
     if withheld:
         table += map(Part, bench.each({HALF: configs[BOTH]}, bench.seeds_of(dataset, runs, withheld)))
     if table:
-        bench.print_table(dataset.name, combining.HEADER, [part.row() for part in table])
-        print_lines(combining.sentences(table, withheld))
+        rows, notes = [part.row() for part in table], combining.sentences(table, withheld)
+        bench.print_table(dataset.name, combining.HEADER, rows, notes)
         bench.keep([part.to_dict(table[0]) for part in table])
     bench.finish()
 
@@ -155,6 +162,7 @@ def speed(
     ] = 0,
     camera: Camera = None,
     settings: Settings = None,
+    tables: Tables = None,
     out: Out = None,
 ) -> None:
     """Time each stage and the whole frame, in milliseconds and in units of one cv2.ORB_create(1000).detectAndCompute.
@@ -165,7 +173,7 @@ def speed(
     With --live N, then on worker threads: as fast as it goes, and at a camera's rate. All images are kept in memory.
     """
     configs = _configs(methods, settings)
-    bench = Bench("speed", out)
+    bench = Bench("speed", out, tables)
     dataset = UnitMeter(bench.open(Source(sequence, camera, frames=frames)))
     warm_up()  # also when they are compiled: loading must not count for the first frame
 
@@ -174,8 +182,8 @@ def speed(
         return cost.speed(dataset, name, config, bench.bar)
 
     for measured in bench.each(configs, measure):
-        bench.print_table(f"{measured.method} on {dataset.name}", cost.HEADER, measured.rows())
-        print_lines(measured.sentences())
+        title = f"{measured.method} on {dataset.name}"
+        bench.print_table(title, cost.HEADER, measured.rows(), measured.sentences())
         bench.keep([measured.to_dict()])
     if live > 0:
         _speed_live(bench, Source(sequence, camera, frames=frames), configs, live)
@@ -198,8 +206,9 @@ def _speed_live(bench: Bench, source: Source, configs: dict[str, SlamConfig], n_
 
     for paces in bench.each(configs, measure):
         runs = [run for pace in paces for run in pace]
-        bench.print_table(f"{runs[0].method} on {images.name}, live", living.HEADER, [run.row() for run in runs])
-        print_lines([sentence for pace in paces for sentence in living.sentences(pace)])
+        notes = [sentence for pace in paces for sentence in living.sentences(pace)]
+        title = f"{runs[0].method} on {images.name}, live"
+        bench.print_table(title, living.HEADER, [run.row() for run in runs], notes)
         bench.keep([run.to_dict() for run in runs])
 
 

@@ -75,7 +75,8 @@ def _occupancy(cloud: DenseCloud, folder: Path, config: ExportConfig) -> list[Wr
 
 def _octomap(cloud: DenseCloud, folder: Path, config: ExportConfig) -> list[WrittenFile]:
     n_voxels = write_octomap(cloud, folder / "map.bt")
-    return [WrittenFile(folder / "map.bt", f"{n_voxels} voxels of {cloud.voxel_m:g} m")]
+    free = f", {len(cloud.free)} free ones" if len(cloud.free) else ""
+    return [WrittenFile(folder / "map.bt", f"{n_voxels} voxels of {cloud.voxel_m:g} m{free}")]
 
 
 FORMATS: dict[str, Write] = {"ply": _ply, "pcd": _pcd, "mesh": _mesh, "occupancy": _occupancy, "octomap": _octomap}

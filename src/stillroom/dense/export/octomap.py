@@ -1,8 +1,7 @@
-"""OctoMap's binary tree (`.bt`): the occupied voxels of a cloud.
+"""OctoMap's binary tree (`.bt`): the occupied voxels of a cloud, and the free ones of a map that knows them.
 
 Hornung et al., OctoMap, Autonomous Robots 2013, section 4.2: an inner node is two bytes, two bits for each of its eight
-children (occupied leaf, inner node, or unknown); nodes come depth first. A cloud has no free space, so there is no free
-leaf.
+children (occupied or free leaf, inner node, or unknown); nodes come depth first. All leaves are of the lowest level.
 """
 
 from pathlib import Path
@@ -14,15 +13,15 @@ from stillroom.data.dense_cloud import DenseCloud
 from stillroom.data.ply import WORLD
 from stillroom.data.replacing import replacing
 from stillroom.errors import MapError
-from stillroom.geometry.arrays import U8, U64, Bool, Floats
+from stillroom.geometry.arrays import I64, U8, U64, Bool
 
 DEPTH = 16
-OCCUPIED, INNER = 0b10, 0b11
+FREE, OCCUPIED, INNER = 0b01, 0b10, 0b11
 """A child's two bits, the first one the lower."""
 
 
 def write_octomap(cloud: DenseCloud, path: Path) -> int:
-    """Write the voxels that hold points as occupied leaves of the lowest level; return how many they are.
+    """Write the voxels that hold points as occupied leaves, and free ones as free; return how many are occupied.
 
     Raises:
         MapError: There are no points, or the map is too large for the tree's 2^16 voxels along an axis.
@@ -30,9 +29,11 @@ def write_octomap(cloud: DenseCloud, path: Path) -> int:
     """
     if len(cloud) == 0:
         raise MapError("an octree without a voxel cannot be written: the cloud has no points")
-    codes = np.sort(_voxel_codes(cloud.positions_m, cloud.voxel_m))
+    occupied = np.floor(cloud.positions_m.astype(np.float64) * (1.0 / cloud.voxel_m)).astype(np.int64)
+    codes = np.sort(_voxel_codes(occupied, cloud.voxel_m))
     codes = codes[_is_new(codes)]
-    nodes, n_nodes = _tree(codes)
+    free = np.setdiff1d(_voxel_codes(cloud.free.astype(np.int64), cloud.voxel_m), codes)  # a point has priority
+    nodes, n_nodes = _tree(codes, free)
     header = [
         "# Octomap OcTree binary file",
         f"# Stillroom; {WORLD}",
@@ -48,10 +49,10 @@ def write_octomap(cloud: DenseCloud, path: Path) -> int:
     return len(codes)
 
 
-def _voxel_codes(positions_m: Floats, voxel_m: float) -> U64:
-    """Return the Morton codes (N,) of the voxels of points (N, 3): the path from the root, three bits a level."""
-    keys = np.floor(positions_m.astype(np.float64) * (1.0 / voxel_m)).astype(np.int64) + (1 << (DEPTH - 1))
-    if keys.min() < 0 or keys.max() >= 1 << DEPTH:
+def _voxel_codes(indices: I64, voxel_m: float) -> U64:
+    """Return the Morton codes (N,) of voxels with indices (N, 3): the path from the root, three bits a level."""
+    keys = indices + (1 << (DEPTH - 1))
+    if len(keys) and (keys.min() < 0 or keys.max() >= 1 << DEPTH):
         raise MapError(
             f"an octree holds {2**DEPTH} voxels along an axis, which at {voxel_m:g} m is less than this map needs"
         )
@@ -80,12 +81,15 @@ def _is_new(ascending: U64) -> Bool:
     return np.concatenate((np.ones(1, dtype=bool), ascending[1:] != ascending[:-1]))
 
 
-def _tree(codes: U64) -> tuple[NDArray[np.uint16], int]:
+def _tree(occupied: U64, free: U64) -> tuple[NDArray[np.uint16], int]:
     """Return the bytes of the inner nodes (M,), depth first, and the number of all nodes.
 
     Args:
-        codes: Morton codes of the leaves (N,), ascending and without repetition.
+        occupied, free: Morton codes of the leaves, (N,) and (F,), each ascending and without repetition; none in both.
     """
+    codes = np.concatenate((occupied, free))
+    ascending = np.argsort(codes)
+    codes, of_leaf = codes[ascending], np.where(ascending < len(occupied), OCCUPIED, FREE).astype(np.uint64)
     starts: list[U64] = []
     bits: list[NDArray[np.uint16]] = []
     levels: list[U8] = []
@@ -93,8 +97,8 @@ def _tree(codes: U64) -> tuple[NDArray[np.uint16], int]:
     for level in reversed(range(DEPTH)):
         prefix = below >> np.uint64(3)
         first = np.flatnonzero(_is_new(prefix))
-        value = OCCUPIED if level == DEPTH - 1 else INNER
-        child = (np.uint64(value) << (below & np.uint64(7)) * np.uint64(2)).astype(np.uint16)
+        value = of_leaf if level == DEPTH - 1 else np.uint64(INNER)
+        child = (value << (below & np.uint64(7)) * np.uint64(2)).astype(np.uint16)
         below = prefix[first]
         bits.append(np.bitwise_or.reduceat(child, first))
         starts.append(below << np.uint64(3 * (DEPTH - level)))

@@ -10,6 +10,10 @@ from stillroom.compiled import njit
 from stillroom.geometry.arrays import F64, I64
 
 PATHS = ("serpentine", "ants")
+ROUND, STEP = "round", "step"
+DEPOSITS = ROUND, STEP
+FAINTEST = 1e-30
+"""Pheromone does not fade below this, so that every node can still be chosen."""
 GRID = 16
 """Cells a side; points beyond count in the last."""
 SHIFTS = ((0, 0), (1, 1), (1, 0), (0, 1))
@@ -27,7 +31,9 @@ class ColonyConfig:
         beta: Weight of nearness (β): the greater, the greedier. High, because there are only a few rounds.
         rho: Share of the pheromone that evaporates (ρ), in [0, 1).
         ants: Ants in a round (m).
-        rounds: Number of rounds; pheromone is laid after each.
+        rounds: Number of rounds.
+        deposit: When pheromone fades and is laid (Eq. 14): after each "round", or after each "step" of all ants, as the
+            paper has it.
     """
 
     alpha: float = 1.0
@@ -35,13 +41,18 @@ class ColonyConfig:
     rho: float = bounded(0.5, least=0, below=1)
     ants: int = bounded(8, least=1)
     rounds: int = bounded(2, least=1)
+    deposit: str = bounded(ROUND, one_of=DEPOSITS)
 
 
 def shortest_found(nodes_px: F64, start: int, end: int, config: ColonyConfig, draws: F64, pheromone: F64) -> I64:
     """Return the shortest path (n,) that the ants find, from node `start` through all others to node `end`.
 
-    Differs from the paper: pheromone is laid after each round, by each ant in inverse proportion to the length of its
-    path (Eq. 15's Δτ, for which the paper gives no formula), not after each step.
+    The paper gives no formula for Eq. 15's Δτ. After a round each ant lays pheromone in inverse proportion to the
+    length of its path (the ant cycle of Dorigo, Maniezzo and Colorni, IEEE Trans. SMC-B 26(1), 1996); after a step, in
+    inverse proportion to that of the step (their ant quantity).
+
+    Differs from the paper, by default: pheromone is laid after each round, not after each step; `deposit = "step"` is
+    the paper's.
 
     Args:
         nodes_px: Nodes (n, 2) [px].
@@ -55,7 +66,7 @@ def shortest_found(nodes_px: F64, start: int, end: int, config: ColonyConfig, dr
         between = [k for k in range(n) if k not in (start, end)]
         return np.array(list(dict.fromkeys([start, *between, end])) if n else [], dtype=np.int64)
     best = np.empty(n, dtype=np.int64)
-    rules = Rules(config.ants, config.alpha, config.beta, config.rho)
+    rules = Rules(config.ants, config.alpha, config.beta, config.rho, config.deposit == STEP)
     let_walk(nodes_px, (start, end), draws, rules, pheromone.copy(), best)
     return best
 
@@ -72,13 +83,14 @@ class Rules(NamedTuple):
     alpha: float
     beta: float
     rho: float
+    by_step: bool
 
 
 @njit(nogil=True, cache=True)
 def let_walk(nodes_px: F64, ends: tuple[int, int], draws: F64, rules: Rules, pheromone: F64, best: I64) -> None:
     """Run the rounds of the colony, and write the shortest path (n,) of all; arguments as `shortest_found`."""
     start, end = ends
-    n_ants, alpha, beta, rho = rules
+    n_ants, alpha, beta, rho, by_step = rules
     n = len(nodes_px)
     distance_px, nearness, attraction = np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
     for i in range(n):
@@ -88,16 +100,20 @@ def let_walk(nodes_px: F64, ends: tuple[int, int], draws: F64, rules: Rules, phe
             nearness[i, j] = max(distance_px[i, j], 1e-6) ** -beta  # Eq. 13, to the power β
     tours, lengths_px, best_px = np.empty((n_ants, n), dtype=np.int64), np.empty(n_ants), np.inf
     for k in range(len(draws)):
-        for i in range(n):
-            for j in range(n):
-                strength = pheromone[i, j] if alpha == 1.0 else pheromone[i, j] ** alpha
-                attraction[i, j] = strength * nearness[i, j]
-        walk(attraction, distance_px, start, end, draws[k], tours, lengths_px)
+        if by_step:
+            walk_together(nearness, distance_px, ends, draws[k], rules, pheromone, tours, lengths_px)
+        else:
+            for i in range(n):
+                for j in range(n):
+                    strength = pheromone[i, j] if alpha == 1.0 else pheromone[i, j] ** alpha
+                    attraction[i, j] = strength * nearness[i, j]
+            walk(attraction, distance_px, start, end, draws[k], tours, lengths_px)
         shortest = np.argmin(lengths_px)
         if lengths_px[shortest] < best_px:
             best[:], best_px = tours[shortest], lengths_px[shortest]
-        pheromone *= 1.0 - rho
-        lay(tours, best_px / np.maximum(lengths_px, 1e-6), pheromone)
+        if not by_step:
+            pheromone *= 1.0 - rho
+            lay(tours, best_px / np.maximum(lengths_px, 1e-6), pheromone)
 
 
 @njit(nogil=True, cache=True)
@@ -136,6 +152,67 @@ def walk(attraction: F64, distance_px: F64, start: int, end: int, draws: F64, to
             lengths_px[k] += distance_px[at, there]
             tours[k, step] = there
             at = there
+
+
+@njit(nogil=True, cache=True)
+def walk_together(
+    nearness: F64,
+    distance_px: F64,
+    ends: tuple[int, int],
+    draws: F64,
+    rules: Rules,
+    pheromone: F64,
+    tours: I64,
+    lengths_px: F64,
+) -> None:
+    """Let all ants take a step by Eq. 12, then let the pheromone fade and lay theirs (Eq. 14–15); until the end.
+
+    A step lays the shortest distance of two nodes over its own length.
+
+    Args:
+        nearness: η^β of each pair of nodes (n, n).
+        distance_px: Their distances (n, n).
+        ends: A and B; B is left for last.
+        draws: Uniform numbers (m, n), one a choice.
+        rules: α and ρ.
+        pheromone: τ of each pair (n, n); changes.
+        tours, lengths_px: As `walk`; filled in.
+    """
+    n, m = len(nearness), len(tours)
+    allowed, shortest_px = np.ones((m, n), dtype=np.bool_), np.inf
+    allowed[:, ends[0]] = allowed[:, ends[1]] = False
+    for i in range(n):
+        for j in range(i):
+            shortest_px = min(shortest_px, max(distance_px[i, j], 1e-6))
+    tours[:, 0] = ends[0]
+    lengths_px[:] = 0.0
+    attraction = np.empty(n)
+    for step in range(1, n):
+        for k in range(m):
+            at, there = tours[k, step - 1], ends[1]
+            if step < n - 1:
+                total = 0.0
+                for j in range(n):
+                    attraction[j] = pheromone[at, j] ** rules.alpha * nearness[at, j] * allowed[k, j]
+                    total += attraction[j]
+                left = draws[k, step] * total
+                for j in range(n):
+                    if allowed[k, j]:
+                        there = j
+                        left -= attraction[j]
+                        if left <= 0.0:
+                            break
+                allowed[k, there] = False
+            tours[k, step] = there
+            lengths_px[k] += distance_px[at, there]
+        for i in range(n):
+            for j in range(n):
+                pheromone[i, j] = max((1.0 - rules.rho) * pheromone[i, j], FAINTEST)
+        for k in range(m):
+            i, j = tours[k, step - 1], tours[k, step]
+            amount = shortest_px / max(distance_px[i, j], 1e-6)
+            pheromone[i, j] += amount
+            pheromone[j, i] += amount
 
 
 @njit(nogil=True, cache=True)

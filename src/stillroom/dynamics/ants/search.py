@@ -7,7 +7,7 @@ import numpy as np
 
 from stillroom.bounds import bounded
 from stillroom.compiled import njit
-from stillroom.dynamics.ants.colony import PathConfig
+from stillroom.dynamics.ants.colony import STEP, ColonyConfig, PathConfig
 from stillroom.dynamics.ants.communities import NONE, KnownPoints, convex_hull, from_left, widen
 from stillroom.geometry.arrays import F64, I64, Bool
 
@@ -17,6 +17,9 @@ MASK_STEP_PX = 8
 """Stride in rows and columns at which a mask is read [px]."""
 Test = Callable[[I64], Bool]
 """Returns which of the points, given by number (K,), move (K,)."""
+ALL, REVERSE_ANTS = "all", "reverse-ants"
+SEARCHES = ALL, REVERSE_ANTS
+"""Which points a geometry tests: every one, or those that the ants come to."""
 
 
 # The pheromone map: where points moved in the last images, and what a network masked in this one.
@@ -128,6 +131,16 @@ class ReverseSearchConfig:
         return search(points_px, self.path.build(seed).lay(points_px), test, self)
 
 
+def papers_search() -> ReverseSearchConfig:
+    """Return the search as the paper prints it: a path by ants who lay pheromone at each step, and no pheromone map.
+
+    The cells from which the nodes are made do not shift. The paper gives no numbers: R, ΔZ and the colony's are ours.
+    """
+    colony = ColonyConfig(deposit=STEP)
+    path = PathConfig(kind="ants", shifts=False, colony=colony)
+    return ReverseSearchConfig(path=path, scent=PheromoneMapConfig(enabled=False))
+
+
 @dataclass(frozen=True)
 class SearchResult:
     """The result of the search, for N points.
@@ -180,6 +193,12 @@ class ReverseSearch:
 def exhaustive(points_px: F64, test: Test) -> Bool:
     """Test every point (N, 2), as DynaSLAM does; return which move (N,)."""
     return test(np.arange(len(points_px), dtype=np.int64))
+
+
+def communities_of(points_px: F64, is_dynamic: Bool, config: ReverseSearchConfig) -> SearchResult:
+    """Return the communities of points (N, 2) that are all known."""
+    again = config.search(points_px, lambda which: is_dynamic[which])
+    return SearchResult(is_dynamic, np.ones(len(points_px), dtype=np.bool_), again.path_px, again.hulls, again.members)
 
 
 def search(

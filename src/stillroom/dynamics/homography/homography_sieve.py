@@ -12,7 +12,7 @@ from stillroom.data.image import RgbdImage
 from stillroom.data.motion import Motion
 from stillroom.data.question import Question
 from stillroom.data.semantics import Semantics
-from stillroom.dynamics.ants.search import ReverseSearchConfig, SearchResult, exhaustive
+from stillroom.dynamics.ants.search import ReverseSearchConfig, SearchResult, communities_of, exhaustive
 from stillroom.dynamics.homography.compensation import CameraMotion, Compensation, CompensationConfig
 from stillroom.dynamics.homography.past import Past, view_of
 from stillroom.dynamics.homography.point_motion import DYNAMIC, UNKNOWN, ImageView, PointTest, PointTestConfig
@@ -164,7 +164,7 @@ class CompensatedHomographySieve:
             return np.asarray(verdicts[which] == DYNAMIC)
 
         if config.search == "exhaustive":
-            found = _communities_of(test.raw_px, exhaustive(test.raw_px, is_dynamic), config.ants)
+            found = communities_of(test.raw_px, exhaustive(test.raw_px, is_dynamic), config.ants)
         else:
             found = self._ants.search(test.raw_px, is_dynamic, known.movable if known.has_any else None)
         return Findings(frame.image.index, candidates, found, verdicts, camera_motion, test)
@@ -192,12 +192,6 @@ class CompensatedHomographySieve:
             members_px, members_m = test.raw_px[members], test.depth_m[members]
             fill(hull, members_px, members_m, self.config.fill_px, self.config.fill_m, depth_m, filled)
         return filled
-
-
-def _communities_of(points_px: F64, is_dynamic: Bool, config: ReverseSearchConfig) -> SearchResult:
-    """Return the communities of points (N, 2) that are all known."""
-    again = config.search(points_px, lambda which: is_dynamic[which])
-    return SearchResult(is_dynamic, np.ones(len(points_px), dtype=np.bool_), again.path_px, again.hulls, again.members)
 
 
 @njit(nogil=True, cache=True)

@@ -9,6 +9,7 @@ import numpy as np
 from stillroom.bounds import bounded
 from stillroom.data.frame import Frame
 from stillroom.data.map import Map
+from stillroom.dynamics.ants.search import ReverseSearch, SearchResult
 from stillroom.dynamics.multiview.multiview_kernels import (
     BORDER,
     DYNAMIC,
@@ -145,12 +146,22 @@ class Geometry:
         share = config.min_seen_through if config.seen_through else 0.0
         self._growth = Growth(config.mean_m, config.mean_per_m, config.step_m, config.step_per_m, min_pixels, share)
 
-    def mask(self, frame: Frame, T_cam_world: F64, world: Map) -> Bool | None:
-        """Return what moves in a frame (H, W) taken at a pose (4, 4); None where there are too few keyframes."""
+    def mask(self, frame: Frame, T_cam_world: F64, world: Map, along: "AlongPath | None" = None) -> Bool | None:
+        """Return what moves in a frame (H, W) taken at a pose (4, 4); None where there are too few keyframes.
+
+        Args:
+            frame: The frame.
+            T_cam_world: Its pose.
+            world: The map.
+            along: Chooses the points to test; every one without it.
+        """
         seen = self.points_in_view(frame, T_cam_world, world)
         if seen is None:
             return None
-        self.test(seen, seen.in_view)
+        if along is None:
+            self.test(seen, seen.in_view)
+        else:
+            along.test(self, seen)
         return self.grow(seen, seen.dynamic_px)
 
     def points_in_view(self, frame: Frame, T_cam_world: F64, world: Map) -> PointsInView | None:
@@ -209,6 +220,36 @@ class Geometry:
             there_m, here_m = views.T_cam_world[:, :3, 3], se3.inverse(T_world_cam)[:3, 3]
         places = zip(views.T_cam_world, there_m, strict=True)
         return np.stack([se3.transform(T, np.stack((place_m, here_m))) for T, place_m in places])
+
+
+class AlongPath:
+    """Tests the projected points that the reverse ant colony comes to, not every one (PSPNet-SLAM III.C).
+
+    Attributes:
+        found: What the last search found; its points are those in view.
+    """
+
+    def __init__(self, ants: ReverseSearch) -> None:
+        """Take the search."""
+        self._ants = ants
+        self._points_px = np.zeros((0, 2))
+        self.found: SearchResult | None = None
+
+    def test(self, geometry: Geometry, seen: PointsInView) -> None:
+        """Search the points in view; the results of the tested ones are stored in `seen`."""
+        points = seen.in_view
+
+        def is_dynamic(which: I64) -> Bool:
+            return np.asarray(geometry.test(seen, points[which]) == DYNAMIC)
+
+        self._points_px = seen.points.px[points].astype(np.float64)
+        self.found = self._ants.search(self._points_px, is_dynamic)
+
+    def remember(self) -> None:
+        """Let the ants remember the last search, once."""
+        if self.found is not None:
+            self._ants.remember(self._points_px, self.found)
+            self.found = None
 
 
 def offsets(reach_px: int) -> I32:

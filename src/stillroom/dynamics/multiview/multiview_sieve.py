@@ -10,8 +10,9 @@ from stillroom.data.frame import Frame
 from stillroom.data.motion import Motion, Stage
 from stillroom.data.question import Question
 from stillroom.data.semantics import Instance, Semantics, union_of
+from stillroom.dynamics.ants.search import ALL, REVERSE_ANTS, SEARCHES, ReverseSearchConfig, papers_search
 from stillroom.dynamics.asking import ImageMemory
-from stillroom.dynamics.multiview.multiview_geometry import GeometryConfig
+from stillroom.dynamics.multiview.multiview_geometry import AlongPath, GeometryConfig
 from stillroom.dynamics.multiview.views import FARTHEST, NEAREST, KeyframesConfig
 from stillroom.geometry.arrays import F64, Bool
 from stillroom.geometry.pixels import Shape, grown, values_at
@@ -41,6 +42,9 @@ class MultiViewConfig:
         overlap_share: For "geometry-first": both found the same when geometry covers this share of a network's mask.
         dilation_px: Dilation of geometry's mask, by an ellipse; keypoints on its border are dropped too. A network's
             mask is dilated where it is made (`semantics.regions.dilate_px`).
+        search: "all", every projected point is tested (DynaSLAM); or "reverse-ants", those that the reverse ant colony
+            comes to (PSPNet-SLAM III.C).
+        ants: The path and the search along it, for "reverse-ants".
         test: The geometry.
     """
 
@@ -49,12 +53,14 @@ class MultiViewConfig:
     combination: str = bounded(UNION, one_of=COMBINATIONS)
     overlap_share: float = bounded(0.3, least=0, most=1)
     dilation_px: int = bounded(6, least=0, pixels=1)
+    search: str = bounded(ALL, one_of=SEARCHES)
+    ants: ReverseSearchConfig = field(default_factory=papers_search)
     test: GeometryConfig = field(default_factory=GeometryConfig)
 
     def build(self, parts: Parts | None = None) -> "MultiViewSieve":
-        """Return the sieve."""
+        """Return the sieve; its seed is that of the ants."""
         check(self)
-        return MultiViewSieve(self)
+        return MultiViewSieve(self, 0 if parts is None else parts.seed)
 
 
 class _Said(NamedTuple):
@@ -69,10 +75,11 @@ class _Said(NamedTuple):
 class MultiViewSieve:
     """Sieve 2 of `dynaslam`."""
 
-    def __init__(self, config: MultiViewConfig) -> None:
+    def __init__(self, config: MultiViewConfig, seed: int = 0) -> None:
         """Start without keyframes."""
         self.config = config
         self.geometry = config.test.build()
+        self._along = AlongPath(config.ants.build(seed)) if config.search == REVERSE_ANTS else None
         self._quick: ImageMemory[tuple[Bool | None]] = ImageMemory(*NEAR)
         self._said: _Said | None = None
 
@@ -96,6 +103,8 @@ class MultiViewSieve:
         said = self._said
         if said is not None and said.frame.image is frame.image and self.config.geometry:
             self.geometry.views.note(frame, T_cam_world, said.motion.moving, keyframe)
+        if self._along is not None:
+            self._along.remember()
 
     def corrected(self, T_new_old: F64) -> None:
         """Correct the stored poses."""
@@ -106,12 +115,14 @@ class MultiViewSieve:
         """Return geometry's mask (H, W): that of low-cost tracking, or of this stage, where it may run; else None."""
         frame, T_cam_world = question.frame, question.T_cam_world
         if question.stage is Stage.LOW_COST:
-            found = self.geometry.mask(frame, T_cam_world, question.world)
+            found = self.geometry.mask(frame, T_cam_world, question.world, self._along)
             return self._quick.keep(frame.image, T_cam_world, (found,))[0]
         quick = self._quick.near(frame.image, T_cam_world)
         if quick is not None:
             return quick[0]
-        return self.geometry.mask(frame, T_cam_world, question.world) if question.stage is Stage.LOCAL_MAP else None
+        if question.stage is not Stage.LOCAL_MAP:
+            return None
+        return self.geometry.mask(frame, T_cam_world, question.world, self._along)
 
     def _moving(self, found: Bool | None, known: Semantics) -> Bool:
         """Return the union of both masks (H, W)."""

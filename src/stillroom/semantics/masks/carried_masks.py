@@ -3,7 +3,7 @@
 import logging
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -63,7 +63,8 @@ def carried(segments: MaskSegments, earlier: HalfImage, now: HalfImage, config: 
     if named is not None:
         named = np.asarray(cv2.remap(named, x, y, cv2.INTER_NEAREST, borderValue=0), dtype=np.uint8)
         named[other] = 0
-    return MaskSegments(np.asarray(label, dtype=np.uint8), np.asarray(likely, dtype=np.float32), named)
+    found = MaskSegments(np.asarray(label, dtype=np.uint8), np.asarray(likely, dtype=np.float32), named)
+    return replace(found, things=segments.things)
 
 
 @dataclass(frozen=True)

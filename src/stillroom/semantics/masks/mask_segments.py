@@ -51,6 +51,14 @@ class HalfImage:
         return self._flows[earlier.index]
 
 
+@dataclass(frozen=True)
+class Numbered:
+    """What a number of segments means where each object has one of its own: its class, and its score."""
+
+    label: str
+    score: float
+
+
 @dataclass(frozen=True, eq=False)
 class MaskSegments:
     """Which pixels of an image, at half its size, are potentially dynamic.
@@ -59,11 +67,13 @@ class MaskSegments:
         label: 0 for background, i for the i-th of the movable classes, counted from 1 (h, w) uint8.
         probability: Probability of its class, or of any movable class (h, w) float32.
         named: In the background: i for the i-th of the named classes, from 1 (h, w) uint8; None without named classes.
+        things: Where objects are told apart, `label` and `named` are i for the i-th of these instead of classes.
     """
 
     label: U8
     probability: F32
     named: U8 | None = None
+    things: tuple[Numbered, ...] = ()
 
     @cached_property
     def mask(self) -> Bool:

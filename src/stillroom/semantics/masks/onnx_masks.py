@@ -11,12 +11,14 @@ from stillroom.data.semantics import Semantics
 from stillroom.geometry.arrays import F32, U8
 from stillroom.protocols import Parts, Schedule, Segmenter
 from stillroom.semantics.class_names import VOC_CLASSES, channels_of
-from stillroom.semantics.masks.carried_masks import LateMasks, MaskCarryConfig
+from stillroom.semantics.masks.carried_masks import KnownImage, LateMasks, MaskCarryConfig
+from stillroom.semantics.masks.keyframe_masks import AskedMasks
 from stillroom.semantics.masks.mask_segments import HalfImage, MaskSegments
 from stillroom.semantics.masks.network import LOGITS, PROBABILITIES, SegmentationInput, SegmentationNetwork
 from stillroom.semantics.masks.refine import RefineConfig
 from stillroom.semantics.masks.regions import RegionsConfig, as_semantics, without_specks
 from stillroom.semantics.onnx.onnx_session import find_model
+from stillroom.semantics.seen_images import IMAGES, KEYFRAMES, SEES
 
 DEEPLAB = Path("deeplabv3_mobilenetv2_voc.onnx")
 """The network where none is named: DeepLabv3 on MobileNetV2, VOC classes."""
@@ -36,7 +38,9 @@ class OnnxMasksConfig:
         named: Names of the classes that are static unless people move them; they become boxes, which help to cluster
             the depth cloud.
         probability: Threshold of the summed probabilities of the movable classes.
-        every: Stride in images at which the network runs; masks are propagated to those between.
+        sees: "images", every n-th of them; or "keyframes" only and the first image, as the segmentation threads of the
+            papers do: `every` and `latency_frames` then have no effect. Masks are propagated to all other images.
+        every: Stride in images at which the network runs.
         latency_frames: Delay of the network's result, in images.
         longer_side_px: Longer side of the network's input where the file does not fix its size [px].
         step_px, offset_px: Sides of the input are a multiple of `step_px`, plus `offset_px` [px].
@@ -53,6 +57,7 @@ class OnnxMasksConfig:
     movable: tuple[str, ...] = ("person",)
     named: tuple[str, ...] = ()
     probability: float = bounded(0.5, above=0, most=1)
+    sees: str = bounded(IMAGES, one_of=SEES)
     every: int = bounded(1, least=1)
     latency_frames: int = bounded(0, least=0)
     longer_side_px: int = bounded(321, least=1)
@@ -76,7 +81,7 @@ class OnnxMasksConfig:
         check(self)
         channels = channels_of((*self.movable, *self.named), self.classes)
         network = SegmentationNetwork(find_model(self.model or DEEPLAB), channels, len(self.classes), self._reading())
-        return OnnxMasks(network, self, None if parts is None else parts.schedule)
+        return segmenter_of(network, self, parts)
 
     def _reading(self) -> SegmentationInput:
         return SegmentationInput(
@@ -84,31 +89,34 @@ class OnnxMasksConfig:
         )
 
 
-class OnnxMasks:
-    """A network's masks, refined by depth, and propagated where it is late."""
+def segmenter_of(network: SegmentationNetwork, config: OnnxMasksConfig, parts: Parts | None) -> Segmenter:
+    """Return a network's segmenter: of all images, or a `KeyframeSegmenter`."""
+    reading = Reading(network, config)
+    schedule = None if parts is None else parts.schedule
+    return OnnxKeyframeMasks(reading, schedule) if config.sees == KEYFRAMES else OnnxMasks(reading, schedule)
 
-    def __init__(self, network: SegmentationNetwork, config: OnnxMasksConfig, schedule: Schedule | None = None) -> None:
-        """Start without images."""
-        self._network = network
-        self._config = config
-        self._masks = LateMasks(self.see, config.every, config.latency_frames, config.carry, config.refine, schedule)
 
-    def __call__(self, image: RgbdImage) -> Semantics:
-        """Return what is potentially dynamic in the image.
+class Reading:
+    """What a network finds in one image: its segments, and what they mean.
+
+    Attributes:
+        config, network: What it was made of.
+    """
+
+    def __init__(self, network: SegmentationNetwork, config: OnnxMasksConfig) -> None:
+        """Take the network, and which of its classes are movable."""
+        self.config = config
+        self.network = network
+
+    def segments(self, image: RgbdImage, view: HalfImage) -> MaskSegments:
+        """Return the network's segments of one image, at half size.
 
         Raises:
             WeightsError: The network's output does not match its classes.
         """
-        known, config = self._masks(image), self._config
-        segments = without_specks(known.segments, config.regions.min_px)
-        size = image.height, image.width
-        return as_semantics(segments, config.movable, *size, known.age, config.regions, config.named)
-
-    def see(self, image: RgbdImage, view: HalfImage) -> MaskSegments:
-        """Return the network's segments of one image, at half size."""
         rows, columns = view.shape
-        every, least = self._network.probabilities(image.rgb, columns, rows), self._config.probability
-        n_movable = len(self._config.movable)
+        every, least = self.network.probabilities(image.rgb, columns, rows), self.config.probability
+        n_movable = len(self.config.movable)
         likely, others = every[:n_movable], every[n_movable:]
         together = np.minimum(likely.sum(axis=0), 1.0)
         label = _best(likely)[0] * (together >= least)
@@ -117,6 +125,57 @@ class OnnxMasks:
         best, highest = _best(others)
         named = best * ((label == 0) & (highest >= least))
         return MaskSegments(label, np.where(named > 0, highest, together), named)
+
+    def semantics(self, known: KnownImage, image: RgbdImage) -> Semantics:
+        """Return segments of an image, from the network or propagated, as what is potentially dynamic in it."""
+        config = self.config
+        segments = without_specks(known.segments, config.regions.min_px)
+        size = image.height, image.width
+        return as_semantics(segments, config.movable, *size, known.age, config.regions, config.named)
+
+
+class OnnxMasks:
+    """A network's masks, refined by depth, and propagated where it is late."""
+
+    def __init__(self, reading: Reading, schedule: Schedule | None = None) -> None:
+        """Start without images."""
+        self.reading, config = reading, reading.config
+        self._masks = LateMasks(
+            reading.segments, config.every, config.latency_frames, config.carry, config.refine, schedule
+        )
+
+    def __call__(self, image: RgbdImage) -> Semantics:
+        """Return what is potentially dynamic in the image.
+
+        Raises:
+            WeightsError: The network's output does not match its classes.
+        """
+        return self.reading.semantics(self._masks(image), image)
+
+
+class OnnxKeyframeMasks:
+    """A network's masks of keyframes, refined by depth, and propagated to the images between: a `KeyframeSegmenter`."""
+
+    def __init__(self, reading: Reading, schedule: Schedule | None = None) -> None:
+        """Start without images."""
+        self.reading, config = reading, reading.config
+        self._masks = AskedMasks(reading.segments, config.carry, config.refine, schedule)
+
+    def __call__(self, image: RgbdImage) -> Semantics:
+        """Return the masks of the last keyframe, propagated to the image; of the first image its own.
+
+        Raises:
+            WeightsError: The network's output does not match its classes.
+        """
+        return self.reading.semantics(self._masks(image), image)
+
+    def see(self, image: RgbdImage) -> Semantics:
+        """Return what the network finds in an image that becomes a keyframe.
+
+        Raises:
+            WeightsError: The network's output does not match its classes.
+        """
+        return self.reading.semantics(self._masks.see(image), image)
 
 
 def _best(likely: F32) -> tuple[U8, F32]:

@@ -16,10 +16,11 @@ from stillroom.protocols import Parts, Segmenter
 from stillroom.semantics.class_names import VOC_CLASSES, channels_of
 from stillroom.semantics.masks.carried_masks import MaskCarryConfig
 from stillroom.semantics.masks.network import LOGITS, SegmentationInput, SegmentationNetwork
-from stillroom.semantics.masks.onnx_masks import OnnxMasks, OnnxMasksConfig
+from stillroom.semantics.masks.onnx_masks import OnnxMasksConfig, segmenter_of
 from stillroom.semantics.masks.refine import RefineConfig
 from stillroom.semantics.masks.regions import RegionsConfig
 from stillroom.semantics.onnx.onnx_session import find_model
+from stillroom.semantics.seen_images import IMAGES, SEES
 
 SHIPPED = "pspnet_mobilenetv2_voc.onnx"
 INPUTS_PX = {"320x240": 320, "512x384": 512, "640x480": 640}
@@ -39,7 +40,9 @@ class PspNetConfig:
         movable: Names of the potentially dynamic classes, of the 21 of PASCAL VOC.
         named: Names of the classes that are static unless people move them; they become boxes.
         probability: Threshold of the summed probabilities of the movable classes.
-        every: Stride in images at which the network runs; masks are propagated to those between.
+        sees: "images", every n-th of them; or "keyframes" only and the first image, as in the paper: `every` and
+            `latency_frames` then have no effect. Masks are propagated to all other images.
+        every: Stride in images at which the network runs.
         latency_frames: Delay of the network's result, in images.
         refine: How borders are refined by depth.
         carry: How masks are propagated.
@@ -51,6 +54,7 @@ class PspNetConfig:
     movable: tuple[str, ...] = ("person",)
     named: tuple[str, ...] = ()
     probability: float = bounded(0.5, above=0, most=1)
+    sees: str = bounded(IMAGES, one_of=SEES)
     every: int = bounded(1, least=1)
     latency_frames: int = bounded(0, least=0)
     refine: RefineConfig = field(default_factory=RefineConfig)
@@ -66,12 +70,13 @@ class PspNetConfig:
         """
         check(self)
         masks = OnnxMasksConfig(
-            movable=self.movable, named=self.named, probability=self.probability, every=self.every,
-            latency_frames=self.latency_frames, refine=self.refine, carry=self.carry, regions=self.regions,
+            movable=self.movable, named=self.named, probability=self.probability, sees=self.sees,
+            every=self.every, latency_frames=self.latency_frames, refine=self.refine, carry=self.carry,
+            regions=self.regions,
         )  # fmt: skip
         channels = channels_of((*self.movable, *self.named), VOC_CLASSES)
         network = pspnet(self.model, channels, INPUTS_PX[self.input])
-        return OnnxMasks(network, masks, None if parts is None else parts.schedule)
+        return segmenter_of(network, masks, parts)
 
 
 def pspnet(model: Path | None, channels: list[int], longer_side_px: int) -> SegmentationNetwork:

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -13,7 +14,7 @@ from stillroom.geometry.camera import Camera
 from stillroom.geometry.pixels import Shape, element
 from stillroom.viz.cloud.splat import Splats, splat
 from stillroom.viz.cloud.view import Viewpoint, default_view
-from stillroom.viz.style import DPI, INK, QUIET, picture
+from stillroom.viz.style import DPI, INK, QUIET, format_of, picture
 
 HEADLIGHT = 0.25
 """Share of the light from the viewpoint; the rest is ambient."""
@@ -206,7 +207,7 @@ def draw_dense_pair(
     """Draw two maps from the same place: what OC-SLAM's Figures 9, 11 and 12 show.
 
     Args:
-        path: The PNG to write, as wide as two pictures and a gap.
+        path: The file to write, PNG, or SVG or PDF by its suffix, as wide as two pictures and a gap.
         without: The map without removal of what moves.
         with_: The map with it; the view is chosen to show this one whole.
         T_world_cam: Poses of the camera (M, 4, 4), at least one.
@@ -227,7 +228,7 @@ def draw_dense_pair(
 
 
 def write_panels(path: Path, panels: list[U8], captions: tuple[str, ...], notes: list[str]) -> None:
-    """Write pictures of one size side by side as one PNG, pixel for pixel, each with its caption in a corner.
+    """Write pictures of one size side by side, in a PNG pixel for pixel, each with its caption in a corner.
 
     Raises:
         StillroomError: The file cannot be written.
@@ -237,8 +238,11 @@ def write_panels(path: Path, panels: list[U8], captions: tuple[str, ...], notes:
     with picture(path, total / DPI, height / DPI) as figure:
         for place, (panel, caption, note) in enumerate(zip(panels, captions, notes, strict=True)):
             left = place * (width + GAP_PX)
-            # Flipped by us, for figimage's origin is the lower left corner.
-            figure.figimage(np.ascontiguousarray(panel[::-1]), xo=left, yo=0, origin="lower")
+            if format_of(path) == "png":
+                # Flipped by us, for figimage's origin is the lower left corner.
+                figure.figimage(np.ascontiguousarray(panel[::-1]), xo=left, yo=0, origin="lower")
+            else:  # where pixels have no size, figimage takes them for points
+                _fill(figure, panel, left / total, width / total)
             x, y = (left + 0.03 * width) / total, 0.045
             size = 0.038 * height * 72 / DPI
             label = figure.text(x, y, caption, fontsize=size, color=INK, weight="bold", va="baseline")
@@ -246,3 +250,11 @@ def write_panels(path: Path, panels: list[U8], captions: tuple[str, ...], notes:
             x_note = (left + 0.97 * width) / total
             small = figure.text(x_note, y, note, fontsize=0.62 * size, color=QUIET, ha="right", va="baseline")
             small.set_in_layout(False)
+
+
+def _fill(figure: Any, panel: U8, left: float, width: float) -> None:
+    """Put a picture into a part of a figure, as high as the figure; left and width are shares of the figure's."""
+    figure.set_layout_engine("none")
+    axes = figure.add_axes((left, 0.0, width, 1.0))
+    axes.set_axis_off()
+    axes.imshow(panel, aspect="auto", interpolation="none")

@@ -1,0 +1,41 @@
+"""A run in a few sentences: those that are printed at its end, and stand in its report."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from stillroom.evaluation.report import percent
+from stillroom.pipeline.live import live_sentences
+
+TOO_LITTLE = "too little to compare with the ground truth"
+NO_TRUTH = "no ground truth to compare with"
+
+
+def coverage(n_tracked: int, n_recorded: int | None, why: str) -> str:
+    """Return how many frames were tracked, and why there are no errors."""
+    share = percent(n_tracked / n_recorded if n_recorded else None)
+    return f"{n_tracked} of {n_recorded} frames tracked ({share}); {why}"
+
+
+def sentences(figures: Mapping[str, Any], n_given: int | None, has_segmenter: bool = True) -> list[str]:
+    """Return what a run came to, beside its errors.
+
+    Args:
+        figures: Of the run itself, as `results.run_figures` gives them.
+        n_given: Images that it was given; None where that is not known.
+        has_segmenter: Whether the method has a detector or a network.
+    """
+    said = []
+    if figures["interrupted"]:
+        said.append(f"stopped after {n_given} images; the figures are of these")
+    n_bad = figures["n_unreadable"]
+    if n_bad:
+        said.append(f"not tracked, as they could not be read: {'1 image' if n_bad == 1 else f'{n_bad} images'}")
+    text = f"map: {figures['n_keyframes']} keyframes, {figures['n_points']} points"
+    cost = figures["frame_ms"]
+    if cost is not None:
+        rate = 1000.0 / cost["wall_mean_ms"]
+        text += f"; a frame took {cost['wall_median_ms']:.1f} ms (median), {rate:.1f} frames/s on average"
+    said.append(text)
+    if figures["live"] is not None:
+        said += live_sentences(figures["live"], has_segmenter)
+    return said

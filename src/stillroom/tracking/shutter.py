@@ -9,7 +9,7 @@ from stillroom.bounds import bounded
 from stillroom.data.frame import Frame
 from stillroom.data.map import Map
 from stillroom.data.matches import Matches
-from stillroom.geometry import twists
+from stillroom.geometry import se3, twists
 from stillroom.geometry.arrays import F32, F64, Bool
 from stillroom.optimize import observations
 from stillroom.optimize.observations import intrinsics_of
@@ -53,8 +53,19 @@ class PoseFit(Protocol):
     def expected(self, guess: F64, before: Before | None) -> F64 | None:
         """Return the velocity (6,) [m/s, rad/s] expected at a guess (4, 4) of the pose; None where none matters."""
 
-    def fit(self, frame: Frame, guess: F64, matches: Matches, world: Map, p_static: F32 | None) -> Fitted:
-        """Return the pose near a guess (4, 4); `p_static` (N,) weighs the keypoints."""
+    def fit(
+        self, frame: Frame, guess: F64, matches: Matches, world: Map, p_static: F32 | None, right_sigma: float
+    ) -> Fitted:
+        """Return the pose near a guess (4, 4).
+
+        Args:
+            frame: The frame.
+            guess: The guess.
+            matches: Its pairs with map points.
+            world: The map.
+            p_static: Weights of its keypoints (N,); None for 1.
+            right_sigma: Standard deviation of right coordinates, as a share of that of the left ones.
+        """
 
     def at_mid_frame(self, frame: Frame, velocity: F64 | None) -> Frame:
         """Return a frame with its keypoints moved by a velocity (6,) to where all rows would be read at its middle."""
@@ -71,7 +82,9 @@ class GlobalShutter:
         """Return that none matters."""
         return
 
-    def fit(self, frame: Frame, guess: F64, matches: Matches, world: Map, p_static: F32 | None) -> Fitted:
+    def fit(
+        self, frame: Frame, guess: F64, matches: Matches, world: Map, p_static: F32 | None, right_sigma: float
+    ) -> Fitted:
         """Return the pose."""
         kp = frame.keypoints
         right_px = kp.right_px[matches.keypoint]
@@ -79,7 +92,7 @@ class GlobalShutter:
             guess,
             world.points.position_m[matches.point_id],
             observations.observed_px(kp.px[matches.keypoint], right_px),
-            observations.weights(kp.octave[matches.keypoint], right_px, frame.scales.inverse_variances),
+            weights_of(frame, matches, right_sigma),
             frame.camera,
             None if p_static is None else p_static[matches.keypoint],
         )
@@ -88,6 +101,20 @@ class GlobalShutter:
     def at_mid_frame(self, frame: Frame, velocity: F64 | None) -> Frame:
         """Return the frame as it is."""
         return frame
+
+
+@dataclass(frozen=True)
+class DepthNoiseConfig:
+    """How much a keypoint's depth counts beside its place in the image.
+
+    Attributes:
+        right_sigma: Standard deviation of the right coordinate that stands for a depth, as a share of that of the left
+            one. ORB-SLAM2 has 1; structured light measures disparity better than that.
+        max_turn_rad_s: While the camera turns faster, it is 1: depth lags behind colour.
+    """
+
+    right_sigma: float = bounded(1.0, above=0)
+    max_turn_rad_s: float = bounded(0.5, above=0)
 
 
 @dataclass(frozen=True)
@@ -116,7 +143,9 @@ class RollingShutter:
         """Return the velocity that leads from the frame before to the guess."""
         return expected_velocity(guess, before)
 
-    def fit(self, frame: Frame, guess: F64, matches: Matches, world: Map, p_static: F32 | None) -> Fitted:
+    def fit(
+        self, frame: Frame, guess: F64, matches: Matches, world: Map, p_static: F32 | None, right_sigma: float
+    ) -> Fitted:
         """Return the pose, and how far the velocity differs from the one that was expected."""
         kp = frame.keypoints
         right_px = kp.right_px[matches.keypoint]
@@ -125,7 +154,7 @@ class RollingShutter:
             np.zeros(6),
             world.points.position_m[matches.point_id],
             observations.observed_px(kp.px[matches.keypoint], right_px),
-            observations.weights(kp.octave[matches.keypoint], right_px, frame.scales.inverse_variances),
+            weights_of(frame, matches, right_sigma),
             frame.camera.rows_after_s(kp.raw_px[matches.keypoint, 1]),
             frame.camera,
             None if p_static is None else p_static[matches.keypoint],
@@ -143,6 +172,22 @@ class RollingShutter:
         px = at_mid_frame(kp.px, kp.depth_m, typical_m, after_s, velocity, intrinsics_of(camera)).astype(np.float32)
         moved = replace(kp, px=px, right_px=camera.right_coordinate(px[:, 0], kp.depth_m))
         return replace(frame, keypoints=moved)
+
+
+def weights_of(frame: Frame, matches: Matches, right_sigma: float) -> F64:
+    """Return the inverse variances (M, 3) [1/px²] of matched keypoints."""
+    kp = frame.keypoints
+    octave, right_px = kp.octave[matches.keypoint], kp.right_px[matches.keypoint]
+    weights: F64 = observations.weights(octave, right_px, frame.scales.inverse_variances)
+    weights[:, 2] /= right_sigma**2
+    return weights
+
+
+def turn_rad_s(guess: F64, before: Before | None) -> float:
+    """Return how fast the camera turns from the frame before to a guess (4, 4) [rad/s]; 0 where there is none."""
+    if before is None or not before.ago_s > 0.0:
+        return 0.0
+    return float(se3.angle_rad(guess @ before.T_world_cam)) / before.ago_s
 
 
 def expected_velocity(guess: F64, before: Before | None) -> F64:

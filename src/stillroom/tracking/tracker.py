@@ -23,10 +23,12 @@ from stillroom.tracking.shutter import (
     GLOBAL,
     ROLLING,
     Before,
+    DepthNoiseConfig,
     GlobalShutter,
     PoseFit,
     RollingShutter,
     RollingShutterConfig,
+    turn_rad_s,
 )
 
 MAX_KEYFRAMES = 80
@@ -127,6 +129,7 @@ class TrackerConfig:
         shutter: global, all rows of an image are taken to be read at once; or rolling, one after the other in the
             camera's `readout_s`: each frame then has a velocity, found with its pose.
         rolling: What is expected of that velocity.
+        depth: How much depth counts.
     """
 
     min_initial_keypoints: int = bounded(200, least=0)
@@ -142,6 +145,7 @@ class TrackerConfig:
     pose: PoseOptimizerConfig = field(default_factory=PoseOptimizerConfig)
     shutter: str = bounded(GLOBAL, one_of=(GLOBAL, ROLLING))
     rolling: RollingShutterConfig = field(default_factory=RollingShutterConfig)
+    depth: DepthNoiseConfig = field(default_factory=DepthNoiseConfig)
 
     def build(self, parts: Parts, sieve: MatchSieve, quick: QuickTracking | None = None) -> "Tracker":
         """Return a tracker that calls the sieve, and starts from the pose of low-cost tracking where there is one."""
@@ -391,7 +395,9 @@ class Tracker:
 
     def _fix(self, frame: Frame, guess: F64, matches: Matches, motion: Motion, world: Map) -> _Fix:
         """Optimise the pose over the matches and return it with its inliers."""
-        fitted = self._pose.fit(frame, guess, matches, world, motion.p_static)
+        depth, turn = self.config.depth, turn_rad_s(guess, self._before(frame, world))
+        right_sigma = depth.right_sigma if turn <= depth.max_turn_rad_s else 1.0
+        fitted = self._pose.fit(frame, guess, matches, world, motion.p_static, right_sigma)
         point_ids = np.full(len(frame), -1, dtype=np.int32)
         inlier = fitted.is_inlier
         point_ids[matches.keypoint[inlier]] = matches.point_id[inlier]

@@ -303,8 +303,7 @@ def build(
 
     Raises:
         ConfigError: A value is impossible.
-        WeightsError: A network's weights are absent.
-        VocabularyError: The vocabulary of places cannot be read.
+        WeightsError, VocabularyError: A network's weights are absent; the vocabulary of places cannot be read.
     """
     check(config)
     config = in_pixels_of(config, camera.pixel_scale)

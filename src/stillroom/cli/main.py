@@ -58,6 +58,7 @@ COMMANDS = (
     Command("record", "stillroom.cli.record:record", "Keep what a camera sees as a sequence."),
     Command("view", "stillroom.cli.view:view", "Show a finished run in rerun's viewer."),
     Command("evaluate", "stillroom.cli.evaluate:evaluate", "Evaluate a trajectory: ATE and RPE."),
+    Command("calibrate", "stillroom.cli.calibrate:app", "Estimate what a camera file needs from a recording."),
     Command(
         "inpaint",
         "stillroom.cli.inpaint:inpaint",

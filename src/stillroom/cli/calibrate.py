@@ -4,7 +4,7 @@ from typing import Annotated
 
 import typer
 
-from stillroom.cli.arguments import CameraName, ConfigFile, Frames, Seed, Settings
+from stillroom.cli.arguments import CameraName, ConfigFile, Fps, Frames, Seed, Settings
 
 STATIC = "orb-slam2"
 """The method that rejects nothing: enough for a room in which nothing moves."""
@@ -23,6 +23,7 @@ def shutter(
     ] = None,
     config: ConfigFile = None,
     frames: Frames = None,
+    fps: Fps = None,
     camera: CameraName = None,
     settings: Settings = None,
     seed: Seed = None,
@@ -44,7 +45,7 @@ def shutter(
 
     show_log()
     chosen = configure(method or (STATIC if config is None else None), config, settings or (), seed)
-    dataset = Source(sequence, camera, frames=frames).open()
+    dataset = Source(sequence, camera, fps, frames).open()
     ensure_warm(STDERR, rendered(dataset) is not None)
     bar = FrameBar(STDERR)
     bar.label = "calibrating"

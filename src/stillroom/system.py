@@ -26,6 +26,7 @@ from stillroom.geometry.camera import Camera
 from stillroom.loops.joining import SubmapJoiner
 from stillroom.loops.loop_closer import LoopClosing
 from stillroom.mapping.local_mapper import LocalMapper
+from stillroom.optimize.trajectory_prior import TrajectoryPriorConfig, lagged, smoothed
 from stillroom.protocols import (
     Clusterer,
     DenseMapping,
@@ -71,6 +72,7 @@ class System:
     keeper: MapKeeping
     map: Map
     observer: RunObserver
+    prior: TrajectoryPriorConfig
     results: list[FrameSummary] = field(default_factory=list)
     first_keyframe: int = 0
     n_repeated: int = 0
@@ -127,19 +129,31 @@ class System:
         return repeated
 
     def trajectory(self) -> Trajectory:
-        """Return the final poses: each frame relative to its reference keyframe's current pose.
+        """Return the final poses: each frame relative to its reference keyframe's current pose, under the prior.
 
         Lost frames are left out, and those in sub-maps that were never merged with the main one.
         """
         placed = self._in_main()
         poses = [self._pose_now(result) for result in placed]
-        return _trajectory([result.timestamp_s for result in placed], poses)
+        final = _trajectory([result.timestamp_s for result in placed], poses)
+        if not self.prior.enabled:
+            return final
+        return Trajectory(final.timestamps_s, smoothed(*_as_arrays(final, placed), self.prior))
 
     def online_trajectory(self) -> Trajectory:
         """Return the poses as `process` returned them, of frames that were in the main sub-map at that moment."""
         main = self.main_submap
         placed = [(r.timestamp_s, r.T_world_cam) for r in self.results if r.T_world_cam is not None if r.submap == main]
         return _trajectory([stamp for stamp, _ in placed], [pose for _, pose in placed])
+
+    def lagged_trajectory(self) -> Trajectory | None:
+        """Return the online poses each as settled a few frames later, under the prior; None where there is no prior."""
+        if not self.prior.enabled:
+            return None
+        main = self.main_submap
+        placed = [result for result in self.results if result.T_world_cam is not None and result.submap == main]
+        online = self.online_trajectory()
+        return Trajectory(online.timestamps_s, lagged(*_as_arrays(online, placed), self.prior))
 
     def keyframe_trajectory(self) -> Trajectory:
         """Return the poses of this run's keyframes in the main sub-map; those of earlier runs are left out."""
@@ -289,8 +303,7 @@ def build(
 
     Raises:
         ConfigError: A value is impossible.
-        WeightsError: A network's weights are absent.
-        VocabularyError: The vocabulary of places cannot be read.
+        WeightsError, VocabularyError: A network's weights are absent; the vocabulary of places cannot be read.
     """
     check(config)
     config = in_pixels_of(config, camera.pixel_scale)
@@ -301,7 +314,7 @@ def build(
     keyframes, keypoint_sieve = config.keyframes.build(parts), config.keypoints.build(parts)
     segmenter, places = segmenter or config.semantics.build(parts), config.places.build(parts)
     places.remember_all()
-    dense_mapper = config.dense.build(parts)
+    dense_mapper, prior = config.dense.build(parts), config.trajectory
     refresh = partial(parts.schedule.submit, Worker.DENSE, dense_mapper.refresh)
     return System(
         schedule=parts.schedule,
@@ -323,6 +336,7 @@ def build(
         keeper=timed_part(keeper, clock, keep="storage") if keeper else NoKeeper(),
         map=world,
         observer=observer or NoObserver(),
+        prior=prior,
         first_keyframe=len(world.keyframes),
     )
 
@@ -340,6 +354,12 @@ def segmenter_of(config: SlamConfig, camera: Camera, schedule: Schedule | None =
     """
     parts = Parts(camera, Map(config.features.scales(camera)), config.seed, schedule=schedule or InOrder())
     return in_pixels_of(config.semantics, camera.pixel_scale).build(parts)
+
+
+def _as_arrays(trajectory: Trajectory, placed: list[FrameSummary]) -> tuple[F64, F64, F64]:
+    """Return times (N,) and poses (N, 4, 4) of a trajectory, and how many points agree with each (N,)."""
+    n_inliers = np.array([result.n_inliers for result in placed], dtype=np.float64)
+    return trajectory.timestamps_s, trajectory.T_world_cam, n_inliers
 
 
 def _trajectory(timestamps_s: list[float], poses: list[F64]) -> Trajectory:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from stillroom.errors import ConfigError, DatasetError
+from stillroom.geometry.camera import LONGEST_READOUT_S
 from stillroom_scenes import PREFIX
 from stillroom_scenes.camera_path import PATHS
 from stillroom_scenes.render import World
@@ -42,6 +43,8 @@ class SyntheticConfig:
         rooms: How many rooms the building has.
         alike: Whether these are nine tenths alike; else each looks different.
         noise: Whether the sensor has noise, quantisation, holes and a limited range; if not, depth is exact to 0.2 mm.
+        readout_ms: Time in which the rows of a colour image are read, a rolling shutter [ms]; 0: all at once. Depth is
+            taken at once, in the middle of it.
         cache: Whether frames are kept in the user's cache folder.
     """
 
@@ -55,6 +58,7 @@ class SyntheticConfig:
     rooms: int = 10
     alike: bool = True
     noise: bool = True
+    readout_ms: float = 0.0
     cache: bool = True
 
     def build(self) -> SyntheticRoom:
@@ -70,6 +74,11 @@ class SyntheticConfig:
             raise ConfigError(f"synthetic: frames is {self.n_frames}; a sequence has at least 1")
         if not (math.isfinite(self.fps) and self.fps > 0):
             raise ConfigError(f"synthetic: fps is {self.fps}; it must be above 0")
+        longest_ms = 1e3 * min(1.0 / self.fps, LONGEST_READOUT_S)
+        if not 0.0 <= self.readout_ms <= longest_ms:
+            raise ConfigError(
+                f"synthetic: readout_ms is {self.readout_ms}; it must be 0 to {longest_ms:.3g}, the time of a frame"
+            )
         if self.seed < 0:
             raise ConfigError(f"synthetic: seed is {self.seed}; it must be 0 or more")
         if not 1 <= self.rooms <= MOST_ROOMS:
@@ -79,7 +88,8 @@ class SyntheticConfig:
         name = self.name or self._own_name()
         # The name and the cache do not change what a frame looks like.
         looks = repr(replace(self, name="", cache=True)) if self.cache else None
-        room = SyntheticRoom(name, self._world(), self.n_frames, self.fps, self.seed, self.noise, looks)
+        readout_s = 1e-3 * self.readout_ms
+        room = SyntheticRoom(name, self._world(), self.n_frames, self.fps, self.seed, self.noise, looks, readout_s)
         if self.figures in ONLY_PEOPLE:
             room.empty = replace(self, name="", figures="none").build
         return room
@@ -101,10 +111,11 @@ class SyntheticConfig:
     def _own_name(self) -> str:
         rate = "" if self.fps == 30.0 else f"_{self.fps:g}fps"
         exact = "" if self.noise else "_exact"
+        rolling = f"_readout{self.readout_ms:g}ms" if self.readout_ms else ""
         place = self.room
         if self.room == "building":
             place = f"building_{self.rooms}_{'alike' if self.alike else 'different'}"
-        return f"synthetic_{self.figures}_{self.path}_{place}_{self.n_frames}{rate}_seed{self.seed}{exact}"
+        return f"synthetic_{self.figures}_{self.path}_{place}_{self.n_frames}{rate}_seed{self.seed}{exact}{rolling}"
 
 
 PRESETS = {

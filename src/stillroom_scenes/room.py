@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
 
@@ -19,7 +19,7 @@ from stillroom_scenes import sensor
 from stillroom_scenes.cache import FrameCache, StoredFrame
 from stillroom_scenes.raster import extents_of
 from stillroom_scenes.remains import Remains
-from stillroom_scenes.render import Rendering, World, render
+from stillroom_scenes.render import Rendering, World, render, render_rows
 from stillroom_scenes.scene.people.figures import FIRST_OBJECT
 
 CAMERA = Camera(640, 480, 525.0, 525.0, 319.5, 239.5, depth_factor=5000.0, bf=40.0)
@@ -46,6 +46,9 @@ class FrameTruth:
 class SyntheticRoom(Recording):
     """A rendered RGB-D sequence; see `stillroom_scenes.config` for what can be chosen.
 
+    Under a rolling shutter, colours and what is known of their pixels (boxes, masks) are those of each row's own time;
+    depth and `truth` are those of the frame's time, that of its middle row.
+
     Attributes:
         scene: The whole scene.
         empty: Makes the same sequence without people, where it is the same without them.
@@ -54,7 +57,15 @@ class SyntheticRoom(Recording):
     empty: "Callable[[], SyntheticRoom] | None" = None
 
     def __init__(
-        self, name: str, world: World, n_frames: int, fps: float, seed: int, noise: bool, cache_spec: str | None
+        self,
+        name: str,
+        world: World,
+        n_frames: int,
+        fps: float,
+        seed: int,
+        noise: bool,
+        cache_spec: str | None,
+        readout_s: float = 0.0,
     ) -> None:
         """Take pictures of a world.
 
@@ -66,9 +77,10 @@ class SyntheticRoom(Recording):
             seed: Chooses the noise.
             noise: Whether the sensor has any.
             cache_spec: All that decides what frames look like, to find those kept on disk; None to keep none.
+            readout_s: Of the camera's rolling shutter [s]; see `Camera.readout_s`.
         """
         self.name = name
-        self.camera = CAMERA
+        self.camera = replace(CAMERA, readout_s=readout_s)
         self.camera_source = "the renderer's own pinhole camera: fx = fy = 525, no distortion, exact"
         self.timestamps_s = np.arange(n_frames) / fps
         self.scene = world.scene
@@ -76,7 +88,7 @@ class SyntheticRoom(Recording):
         self._noise = sensor.NoiseTables(seed) if noise else None
         self._cache: FrameCache | None = None
         if cache_spec is not None:
-            spec = f"{_renderer_version()} {cache_spec} {CAMERA}"
+            spec = f"{_renderer_version()} {cache_spec} {self.camera}"
             self._cache = FrameCache(hashlib.sha256(spec.encode()).hexdigest()[:24])
 
     @cached_property
@@ -144,8 +156,11 @@ class SyntheticRoom(Recording):
         return render(self.scene, self.camera, self.pose(index), float(self.timestamps_s[index]))
 
     def _taken(self, index: int) -> StoredFrame:
-        """Render frame `index` and apply the sensor model."""
+        """Render frame `index` and apply the sensor model: colours row by row, depth at once in the middle of them."""
         rendering = self._rendered(index)
+        if self.camera.readout_s > 0.0:
+            rows = render_rows(self.scene, self.camera, self._way, float(self.timestamps_s[index]))
+            rendering = Rendering(rows.rgb, rendering.inverse_depth, rows.instance)
         units: U16 = np.empty(rendering.instance.shape, dtype=np.uint16)
         if self._noise is None:
             sensor.clean_units(rendering.inverse_depth, self.camera.depth_factor, units)

@@ -25,6 +25,7 @@ from stillroom.pipeline.plots import draw_maps
 from stillroom.presets.registry import OWN, method
 from stillroom.semantics.truth import TrueSemanticsConfig
 from stillroom.system import build
+from stillroom.tracking.shutter import ROLLING
 from stillroom.warmup import kernels, warm_up
 
 BASELINE = method("orb-slam2").config
@@ -40,7 +41,8 @@ RUNS = (
 
 def run(config: SlamConfig, folder: Path) -> int:
     """Run a method over rendered frames; do all that can be done with the maps of one. Return the dense map's size."""
-    sequence = select(open_dataset("synthetic:walking,frames=90"), "0:60:3")
+    rolling = ",readout_ms=20" if config.tracking.shutter == ROLLING else ""
+    sequence = select(open_dataset(f"synthetic:walking,frames=90{rolling}"), "0:60:3")
     system = build(
         config, sequence.camera, TrueSemanticsConfig().build()
     )  # the renderer's boxes: no weights are needed

@@ -1,5 +1,6 @@
 """The user's own camera: what is written is read back, and every slip is told in one line."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -114,7 +115,7 @@ def test_the_option_beats_the_file_beats_the_name(tmp_path: Path) -> None:
     assert "rgbd_bonn_" in by_name[1]
     own = written(folder, GOOD)
     by_file = choose_camera(folder, folder.name, None)
-    assert by_file[0] == read_camera(own)
+    assert by_file[0] == replace(read_camera(own), readout_s=NAMED_CAMERAS["bonn"].readout_s)
     assert str(own) in by_file[1]
     by_option = choose_camera(folder, folder.name, "fr3")
     assert by_option == (NAMED_CAMERAS["tum-freiburg3"], "'tum-freiburg3', as given")
@@ -145,3 +146,45 @@ def test_without_any_calibration_says_how_to_give_one(tmp_path: Path) -> None:
 def test_a_path_that_is_no_file_is_no_name_either(tmp_path: Path) -> None:
     with pytest.raises(CalibrationError, match="no such camera file"):
         choose_camera(tmp_path, "x", str(tmp_path / "absent.toml"))
+
+
+def test_a_readout_is_written_and_read_back(tmp_path: Path) -> None:
+    camera = Camera(640, 480, 525.0, 525.0, 319.5, 239.5, readout_s=0.0243)
+    write_camera(camera, tmp_path / "camera.toml")
+    assert read_camera(tmp_path / "camera.toml") == camera
+    assert read_camera(written(tmp_path, GOOD)).readout_s == 0.0
+    assert read_camera(written(tmp_path, GOOD + "readout_s = 0.03\n")).readout_s == 0.03
+
+
+@pytest.mark.parametrize(
+    ("value", "said"),
+    [
+        ("-0.01", "readout_s is -0.01; it must be 0 to 0.2 s"),
+        ("24", "readout_s is 24.0; it must be 0 to 0.2 s"),
+        ("nan", "readout_s is nan"),
+        ("'24 ms'", "'readout_s' is '24 ms'; it must be a number"),
+        ("true", "'readout_s' is True; it must be a number"),
+    ],
+)
+def test_a_readout_that_no_camera_has_is_refused(value: str, said: str, tmp_path: Path) -> None:
+    path = written(tmp_path, GOOD + f"readout_s = {value}\n")
+    with pytest.raises(CalibrationError) as caught:
+        read_camera(path)
+    assert said in str(caught.value)
+    assert str(caught.value).startswith(str(path))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_sequences_own_file_takes_the_readout_of_its_named_camera_where_it_says_none(tmp_path: Path) -> None:
+    written(tmp_path, GOOD)
+    camera, source = choose_camera(tmp_path, "rgbd_bonn_balloon", None)
+    assert camera.fx == 900.5
+    assert camera.readout_s == NAMED_CAMERAS["bonn"].readout_s > 0.0
+    assert "readout of 33 ms as of 'bonn'" in source
+    assert "\n" not in source
+    for name in ("my_room", "rgbd_dataset_freiburg2_desk"):  # of no data set, and of one whose readout is not known
+        assert choose_camera(tmp_path, name, None)[0].readout_s == 0.0
+    written(tmp_path, GOOD + "readout_s = 0.0\n")
+    camera, source = choose_camera(tmp_path, "rgbd_bonn_balloon", None)
+    assert camera.readout_s == 0.0, "what the file says counts"
+    assert "readout" not in source

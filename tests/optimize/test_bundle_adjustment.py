@@ -95,6 +95,17 @@ def test_observations_weigh_as_much_as_their_points_are_likely_to_be_static(seed
     assert largest_distance(result.T_cam_world, without.T_cam_world) > 1e-4, "it makes a difference"
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_a_smaller_deviation_of_right_coordinates_is_a_larger_weight(seed: int) -> None:
+    plain = bundle(seed, share=0.9).problem
+    heavier = replace(plain, weights=plain.weights * (1.0, 1.0, 4.0))
+    result = BundleConfig(right_sigma=0.5).build()(plain, CAMERA)
+    expected = BundleConfig().build()(heavier, CAMERA)
+    np.testing.assert_array_equal(result.T_cam_world, expected.T_cam_world)
+    np.testing.assert_array_equal(result.is_inlier, expected.is_inlier)
+    assert largest_distance(result.T_cam_world, BundleConfig().build()(plain, CAMERA).T_cam_world) > 1e-5
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_the_result_is_gtsams_least_squares_minimum_of_the_kept_observations(seed: int) -> None:
     problem = bundle(50 + seed).problem

@@ -16,9 +16,11 @@ from stillroom.config import SlamConfig, read_toml, updated
 from stillroom.data.image import RgbdImage
 from stillroom.data.result import FrameResult
 from stillroom.data.trajectory import read_tum
+from stillroom.datasets.open import open_dataset
 from stillroom.datasets.selection import Selected, select
 from stillroom.errors import ConfigError, FrameError, StillroomError
 from stillroom.evaluation.report import from_json
+from stillroom.evaluation.smoothness import smoothness
 from stillroom.evaluation.timing import FRAME
 from stillroom.evaluation.trajectory_errors import ate
 from stillroom.pipeline import RunOptions, RunOutcome, Source, evaluate_folder, run
@@ -95,6 +97,21 @@ def test_trajectories_are_those_of_the_system(finished: RunOutcome) -> None:
         assert np.allclose(written.timestamps_s, trajectory.timestamps_s, atol=1e-6)
         assert np.allclose(written.T_world_cam, trajectory.T_world_cam, atol=1e-6)
     assert len(read_tum(folder / "trajectory.tum")) == finished.n_tracked == 45
+
+
+def test_a_method_with_a_trajectory_prior_writes_what_it_knows_five_frames_later(tmp_path: Path) -> None:
+    dataset = open_dataset("synthetic:walking,frames=45")
+    outcome = run(dataset, configure("orb-slam2", None, ["trajectory.enabled=true"]), RunOptions(root=tmp_path))
+    folder, system = folder_of(outcome), outcome.system
+    lagged, final = read_tum(folder / "trajectory_lag5.tum"), read_tum(folder / "trajectory.tum")
+    assert len(lagged) == len(final) == 45
+    assert np.allclose(lagged.T_world_cam, system.lagged_trajectory().T_world_cam, atol=1e-6)
+
+    def jitter_m(name: str) -> float:
+        return smoothness(read_tum(folder / name), dataset.groundtruth).jitter_m.rmse
+
+    # Each knows more of the motion than the one before.
+    assert jitter_m("trajectory.tum") < jitter_m("trajectory_lag5.tum") < 0.7 * jitter_m("trajectory_online.tum")
 
 
 def test_the_config_makes_the_same_run_again(finished: RunOutcome) -> None:

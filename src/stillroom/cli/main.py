@@ -59,6 +59,7 @@ COMMANDS = (
     Command("view", "stillroom.cli.view:view", "Show a finished run in rerun's viewer."),
     Command("evaluate", "stillroom.cli.evaluate:evaluate", "Evaluate a trajectory: ATE and RPE."),
     Command("report", "stillroom.cli.report:report", "Compare finished runs on a page to look at."),
+    Command("calibrate", "stillroom.cli.calibrate:app", "Estimate what a camera file needs from a recording."),
     Command(
         "inpaint",
         "stillroom.cli.inpaint:inpaint",

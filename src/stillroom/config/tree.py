@@ -26,6 +26,7 @@ from stillroom.features.places.place_index import PlacesConfig
 from stillroom.loops.joining import JoiningConfig
 from stillroom.loops.loop_closer import LoopsConfig
 from stillroom.mapping.local_mapper import LocalMapperConfig
+from stillroom.optimize.trajectory_prior import TrajectoryPriorConfig
 from stillroom.semantics.depth_clusters import NoClustersConfig
 from stillroom.semantics.no_segmenter import NothingConfig
 from stillroom.storage.keeper import MapKeeperConfig
@@ -52,6 +53,7 @@ class SlamConfig:
         places: The bag-of-words index of keyframes, for place recognition.
         tracking, recovery, keyframes, mapping, loops: ORB-SLAM2's parts.
         joining: When sub-maps are merged.
+        trajectory: The prior under which the poses of all frames become one estimate.
         dense: The dense map (sieve 3); `kind` chooses the part.
         storage: What a map file keeps in addition to the map, where a run writes one.
     """
@@ -71,5 +73,6 @@ class SlamConfig:
     mapping: LocalMapperConfig = field(default_factory=LocalMapperConfig)
     loops: LoopsConfig = field(default_factory=LoopsConfig)
     joining: JoiningConfig = field(default_factory=JoiningConfig)
+    trajectory: TrajectoryPriorConfig = field(default_factory=TrajectoryPriorConfig)
     dense: DenseMappingConfig = field(default_factory=NoDenseMapConfig, metadata={"kinds": DENSE})
     storage: MapKeeperConfig = field(default_factory=MapKeeperConfig)

@@ -12,10 +12,12 @@
     depth_factor = 5000.0                    # units of the depth image per metre; 1000 for millimetres
     baseline_m = 0.075                       # or bf = 40.0 [px·m]; may be left out
     max_depth_m = 6.0                        # depth beyond the sensor's range is unknown; may be left out
+    readout_s = 0.030                        # from the first row of a colour image to the last; 0: global shutter
 """
 
 import math
 import tomllib
+from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
@@ -25,7 +27,7 @@ from stillroom.errors import CalibrationError
 from stillroom.geometry.camera import Camera
 
 REQUIRED = ("width", "height", "fx", "fy", "cx", "cy", "depth_factor")
-OPTIONAL = ("distortion", "bf", "baseline_m", "max_depth_m")
+OPTIONAL = ("distortion", "bf", "baseline_m", "max_depth_m", "readout_s")
 DEFAULT_BASELINE_M = 0.075
 """Of a Kinect's projector and camera; what `bf` = 40 comes to on TUM's cameras."""
 
@@ -52,8 +54,9 @@ def read_camera(path: Path) -> Camera:
     bf = _number(path, values, "bf") if "bf" in values else fx * _baseline_m(path, values)
     read_range(path)
     depth_factor, distortion = _number(path, values, "depth_factor"), _distortion(path, values)
+    readout_s = _number(path, values, "readout_s") if "readout_s" in values else 0.0
     try:
-        return Camera(width, height, fx, fy, cx, cy, distortion, depth_factor, bf)
+        return Camera(width, height, fx, fy, cx, cy, distortion, depth_factor, bf, readout_s)
     except CalibrationError as error:
         raise CalibrationError(f"{path}: {error}") from error
 
@@ -88,7 +91,8 @@ def write_camera(camera: Camera, path: Path) -> None:
         f"cy = {float(camera.cy)!r}\n"
         f"distortion = [{k1_to_k3}]  # k1 k2 p1 p2 k3\n"
         f"depth_factor = {float(camera.depth_factor)!r}  # units of the depth image per metre\n"
-        f"bf = {float(camera.bf)!r}  # baseline of the virtual stereo pair times fx [px·m]\n",
+        f"bf = {float(camera.bf)!r}  # baseline of the virtual stereo pair times fx [px·m]\n"
+        f"readout_s = {float(camera.readout_s)!r}  # from the first row of a colour image to the last [s]\n",
         encoding="utf-8",
     )
 
@@ -153,6 +157,7 @@ NAMED_CAMERAS: dict[str, Camera] = {
         cx=315.593520,
         cy=237.756098,
         distortion=(0.039903, -0.099343, -0.000730, -0.000144, 0.0),
+        readout_s=0.033,  # estimated: docs/reference.md#rolling-shutters
     ),
     # Sturm et al., IROS 2012; values as in ORB-SLAM2's TUM1.yaml, TUM2.yaml and TUM3.yaml
     # (docs/reference.md#tum-rgb-d-calibration).
@@ -164,6 +169,7 @@ NAMED_CAMERAS: dict[str, Camera] = {
         cx=318.643040,
         cy=255.313989,
         distortion=(0.262383, -0.953104, -0.005358, 0.002628, 1.163314),
+        readout_s=0.024,  # estimated: docs/reference.md#rolling-shutters
     ),
     "tum-freiburg2": Camera(
         width=640,
@@ -219,15 +225,30 @@ def choose_camera(folder: Path, sequence_name: str, option: str | None) -> tuple
     if option is not None:
         return camera_of(option)
     own = folder / CAMERA_FILE_NAME
+    recognised = next((prefix for prefix in RECOGNISED_PREFIXES if sequence_name.startswith(prefix)), None)
     if own.is_file():
-        return read_camera(own), f"the sequence's own {CAMERA_FILE_NAME}: {own}"
-    for prefix, name in RECOGNISED_PREFIXES.items():
-        if sequence_name.startswith(prefix):
-            return NAMED_CAMERAS[name], f"'{name}', because the sequence is called {prefix}*"
+        return _with_known_readout(own, recognised)
+    if recognised is not None:
+        name = RECOGNISED_PREFIXES[recognised]
+        return NAMED_CAMERAS[name], f"'{name}', because the sequence is called {recognised}*"
     raise CalibrationError(
         f"{folder}: no calibration is known for this sequence; give --camera with a name "
         f"({', '.join(NAMED_CAMERAS)}) or a file, or put a {CAMERA_FILE_NAME} into the folder"
     )
+
+
+def _with_known_readout(path: Path, recognised: str | None) -> tuple[Camera, str]:
+    """Return a sequence's own camera; what it does not say of its shutter is that of the camera of the data set's name.
+
+    Raises:
+        CalibrationError: The file cannot be read.
+    """
+    camera, source = read_camera(path), f"the sequence's own {CAMERA_FILE_NAME}: {path}"
+    name = None if recognised is None else RECOGNISED_PREFIXES[recognised]
+    if name is None or "readout_s" in _read_toml(path) or NAMED_CAMERAS[name].readout_s == 0.0:
+        return camera, source
+    readout_s = NAMED_CAMERAS[name].readout_s
+    return replace(camera, readout_s=readout_s), f"{source}; readout of {1e3 * readout_s:.0f} ms as of '{name}'"
 
 
 def choose_range(folder: Path, option: str | None) -> float:

@@ -15,6 +15,7 @@ from stillroom.dynamics.asking import ImageMemory
 from stillroom.dynamics.cluster_evidence import Belief, ClusterSamples, MovingPixels, Sampler
 from stillroom.dynamics.depth_history import DepthHistory, DepthHistoryConfig
 from stillroom.dynamics.epipolar_sieve import EpipolarConfig
+from stillroom.geometry import se3
 from stillroom.geometry.arrays import F32, F64, I32, Bool
 from stillroom.geometry.camera import Lens
 from stillroom.geometry.pixels import values_at
@@ -50,6 +51,8 @@ class ClusterSieveConfig:
         fades_in_s: Time in which unsupported log-odds fall to 1/e.
         reach_m: How far a cluster may move in depth between two images.
         margin_px: What lies this close to a moving cluster and on no plane or other cluster moves too.
+        max_turn_rad_s: While the camera turns faster than this, nothing is evidence for motion: depth that lags behind
+            colour makes the room move.
     """
 
     boxes: EpipolarConfig = field(default_factory=EpipolarConfig)
@@ -64,6 +67,7 @@ class ClusterSieveConfig:
     fades_in_s: float = bounded(2.0, above=0)
     reach_m: float = 0.3
     margin_px: int = bounded(8, least=0, pixels=1)
+    max_turn_rad_s: float = bounded(1e3, above=0)
 
     def build(self, parts: Parts) -> "ClusterSieve":
         """Return the sieve."""
@@ -96,6 +100,7 @@ class ClusterSieve:
         self._pixels = MovingPixels(config.margin_px)
         self._past: ImageMemory[_Past] = ImageMemory(SAME_M, SAME_RAD)
         self._believed: ImageMemory[tuple[Clusters, F64]] = ImageMemory()
+        self._last: tuple[float, F64] | None = None
 
     def judge(self, question: Question) -> Motion:
         """Classify boxes and clusters, and every keypoint by what it lies on."""
@@ -113,6 +118,7 @@ class ClusterSieve:
 
     def remember(self, frame: Frame, T_cam_world: F64, keyframe: int) -> None:
         """Store the depth image and the log-odds."""
+        self._last = frame.timestamp_s, se3.inverse(T_cam_world)
         believed = self._believed.of(frame.image)
         if believed is not None:
             self._belief.remember(frame, *believed, T_cam_world)
@@ -121,6 +127,8 @@ class ClusterSieve:
 
     def corrected(self, T_new_old: F64) -> None:
         """Correct the stored poses."""
+        if self._last is not None:
+            self._last = self._last[0], T_new_old @ self._last[1]
         self._boxes.corrected(T_new_old)
         self._history.follow(T_new_old)
         self._belief.follow(T_new_old)
@@ -131,8 +139,18 @@ class ClusterSieve:
         config, past = self.config, self._past_of(question, clusters)
         failing = 2.0 * past.failing - 1.0
         failing += np.maximum(0.0, 2.0 * self._failing_pairs(question, clusters) - 1.0)
+        if self._turn_rad_s(question) > config.max_turn_rad_s:
+            failing = np.minimum(failing, 0.0)
         belief = past.inherited + config.gain * failing + config.suspicion * (clusters.box >= 0)
         return np.asarray(np.clip(belief, -config.limit, config.limit))
+
+    def _turn_rad_s(self, question: Question) -> float:
+        """Return how fast the camera has turned since the last frame that was remembered [rad/s]."""
+        if self._last is None or question.frame.timestamp_s <= self._last[0]:
+            return 0.0
+        time_s, T_world_last = self._last
+        turn_rad = float(se3.angle_rad(question.T_cam_world @ T_world_last))
+        return turn_rad / (question.frame.timestamp_s - time_s)
 
     def _past_of(self, question: Question, clusters: Clusters) -> "_Past":
         """Return the evidence of earlier images; cached for nearly the same pose."""

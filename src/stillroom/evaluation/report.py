@@ -214,6 +214,8 @@ def values(evaluation: Evaluation) -> list[tuple[float | None, ...]]:
         errors += [given.ate_se3_m, given.ate_sim3_m]
         for relative in (given.rpe_1s, given.rpe_30_frames):
             errors += [None, None] if relative is None else [relative.translation_m, relative.rotation_deg]
+    smooth = evaluation.for_rpe.smoothness
+    errors += [] if smooth is None else [smooth.slow_m, smooth.fast_m, smooth.jitter_m, smooth.jitter_deg]
     return [(None,) * 6 if s is None else (s.rmse, s.mean, s.median, s.std, s.min, s.max) for s in errors]
 
 

@@ -45,6 +45,9 @@ def brown_conrady(lens: Lens, x: Coordinate, y: Coordinate) -> tuple[Coordinate,
     return u, v
 
 
+LONGEST_READOUT_S = 0.2
+
+
 @dataclass(frozen=True)
 class Camera:
     """An RGB-D camera: x right, y down, z forward; pixel centres at integers; depth registered to colour.
@@ -56,6 +59,8 @@ class Camera:
         depth_factor: Units of the 16-bit depth image per metre.
         bf: Baseline of the virtual stereo pair times fx [px·m]: a depth d has the right coordinate u − bf/d
             (40 for Kinect-like sensors; docs/reference.md#orb-slam2-camera-and-features).
+        readout_s: Time from the first row of a colour image to the last [s]: a rolling shutter; 0 for a global one.
+            An image's time is that of its middle row.
     """
 
     width: int
@@ -67,6 +72,7 @@ class Camera:
     distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
     depth_factor: float = 5000.0
     bf: float = 40.0
+    readout_s: float = 0.0
 
     def __post_init__(self) -> None:
         """Refuse a camera that cannot exist.
@@ -81,6 +87,11 @@ class Camera:
         for name in ("width", "height", "fx", "fy", "depth_factor", "bf"):
             if getattr(self, name) <= 0:
                 raise CalibrationError(f"camera: {name} is {getattr(self, name)}; it must be positive")
+        if not 0.0 <= self.readout_s <= LONGEST_READOUT_S:
+            raise CalibrationError(
+                f"camera: readout_s is {self.readout_s}; it must be 0 to {LONGEST_READOUT_S} s, the time in which the "
+                "rows of an image are read"
+            )
         if len(self.distortion) != 5 or not np.all(np.isfinite(self.distortion)):
             raise CalibrationError(f"camera: distortion is {self.distortion}; it must be five numbers k1 k2 p1 p2 k3")
 
@@ -107,6 +118,10 @@ class Camera:
     def in_pixels(self, length_px: int) -> int:
         """Return a whole length of images 640 pixels long in this one's images [px]; at least 1, but 0 stays 0."""
         return in_pixels(length_px, self.pixel_scale)
+
+    def rows_after_s(self, raw_y_px: Floats) -> F64:
+        """Return when rows (N,) of the image as taken are read, from its middle on (N,) [s]."""
+        return ((np.asarray(raw_y_px, dtype=np.float64) + 0.5) / self.height - 0.5) * self.readout_s
 
     @property
     def is_distorted(self) -> bool:

@@ -4,6 +4,7 @@
 config.toml              the effective config; in `[run]`, which configures nothing, how it came about
 trajectory.tum           final poses: each frame on its reference keyframe's corrected pose
 trajectory_online.tum    poses as they were known when the frame was tracked
+trajectory_lag5.tum      poses as settled five frames later, of methods whose trajectory has a prior
 keyframes.tum            keyframes of the map
 frames.csv               every image with its state: tracked, lost, or unreadable; the sub-map of its pose, and
                          how it was relocalized where tracking had been lost
@@ -210,6 +211,11 @@ def write_config(folder: Path, origin: Origin, config: SlamConfig, options: RunO
     replace_text(folder / CONFIG, to_toml(config, provenance() | how | source))
 
 
+def lagged_name(system: System) -> str:
+    """Return the name of the file with the poses as settled a few frames later."""
+    return f"trajectory_lag{system.prior.lag}.tum"
+
+
 def write_results(folder: Path, outcome: RunOutcome, truth: Truth | None) -> DenseCloud | None:
     """Write everything that a run came to: trajectories, then figures, then the rest, and the dense map last.
 
@@ -224,6 +230,10 @@ def write_results(folder: Path, outcome: RunOutcome, truth: Truth | None) -> Den
         system.trajectory().write_tum(folder / FINAL)
     with attempts.file(folder / ONLINE):
         system.online_trajectory().write_tum(folder / ONLINE)
+    lagged = system.lagged_trajectory()
+    if lagged is not None:
+        with attempts.file(folder / lagged_name(system)):
+            lagged.write_tum(folder / lagged_name(system))
     with attempts.file(folder / KEYFRAMES):
         system.keyframe_trajectory().write_tum(folder / KEYFRAMES)
     with attempts.file(folder / METRICS):

@@ -27,6 +27,7 @@ from stillroom.presets import (
     pspnet_slam,
     pspnet_slam_paper,
     sof_slam,
+    stillroom,
     zhang_slam,
 )
 from stillroom.presets.method import Method
@@ -37,6 +38,7 @@ PLUGINS: PluginGroup[Method] = PluginGroup(
     "stillroom.methods", "method", "a Method", lambda offered: isinstance(offered, Method)
 )
 OWN = (
+    stillroom.METHOD,
     orb_slam2.METHOD,
     oc_slam.METHOD,
     oc_slam_paper.METHOD,

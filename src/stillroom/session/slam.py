@@ -210,6 +210,10 @@ class Slam:
         """Return the final poses, `T_world_cam`, of the images that were tracked; see `System.trajectory`."""
         return self.system.trajectory()
 
+    def lagged_trajectory(self) -> Trajectory | None:
+        """Return the poses as they are settled a few images later; None where the method has no trajectory prior."""
+        return self.system.lagged_trajectory()
+
     def dense_cloud(self) -> DenseCloud:
         """Return the dense map as coloured, oriented points, without what moves.
 

@@ -14,12 +14,22 @@ from stillroom.data.result import Recovery, Tracked, TrackingState
 from stillroom.data.semantics import Semantics
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64, I32
-from stillroom.optimize import observations
 from stillroom.optimize.pose import PoseOptimizerConfig
 from stillroom.protocols import KeypointSieve, MatchSieve, Parts, Pending, QuickTracking
 from stillroom.tracking import correspondences
 from stillroom.tracking.flow_tracking import FlowConfig, FlowTracking, KeyframeRule, OrbAlways
 from stillroom.tracking.low_cost import NoLowCost
+from stillroom.tracking.shutter import (
+    GLOBAL,
+    ROLLING,
+    Before,
+    DepthNoiseConfig,
+    GlobalShutter,
+    PoseFit,
+    RollingShutter,
+    RollingShutterConfig,
+    turn_rad_s,
+)
 
 MAX_KEYFRAMES = 80
 _NEIGHBOURS = 10
@@ -116,6 +126,10 @@ class TrackerConfig:
             frame between keyframes.
         flow: When and how it does.
         pose: How poses are found.
+        shutter: global, all rows of an image are taken to be read at once; or rolling, one after the other in the
+            camera's `readout_s`: each frame then has a velocity, found with its pose.
+        rolling: What is expected of that velocity.
+        depth: How much depth counts.
     """
 
     min_initial_keypoints: int = bounded(200, least=0)
@@ -129,10 +143,15 @@ class TrackerConfig:
     between_keyframes: str = bounded("orb", one_of=BETWEEN_KEYFRAMES)
     flow: FlowConfig = field(default_factory=FlowConfig)
     pose: PoseOptimizerConfig = field(default_factory=PoseOptimizerConfig)
+    shutter: str = bounded(GLOBAL, one_of=(GLOBAL, ROLLING))
+    rolling: RollingShutterConfig = field(default_factory=RollingShutterConfig)
+    depth: DepthNoiseConfig = field(default_factory=DepthNoiseConfig)
 
     def build(self, parts: Parts, sieve: MatchSieve, quick: QuickTracking | None = None) -> "Tracker":
         """Return a tracker that calls the sieve, and starts from the pose of low-cost tracking where there is one."""
-        return Tracker(self, sieve, quick or NoLowCost())
+        rolls = self.shutter == ROLLING and parts.camera.readout_s > 0.0
+        pose = RollingShutter(self.rolling, self.pose) if rolls else GlobalShutter(self.pose)
+        return Tracker(self, sieve, quick or NoLowCost(), pose)
 
     def build_flow(
         self, tracker: "Tracker", keypoint_sieve: KeypointSieve, keyframes: KeyframeRule
@@ -151,6 +170,7 @@ class _Fix:
     point_ids: I32
     motion: Motion
     rejected: I32
+    velocity: F64 | None = None
 
     @property
     def n_inliers(self) -> int:
@@ -160,10 +180,9 @@ class _Fix:
 class Tracker:
     """Tracks the camera from frame to frame. Called in order, one frame after the other."""
 
-    def __init__(self, config: TrackerConfig, sieve: MatchSieve, quick: QuickTracking) -> None:
+    def __init__(self, config: TrackerConfig, sieve: MatchSieve, quick: QuickTracking, pose: PoseFit) -> None:
         """Start without earlier frames."""
-        self.config, self.sieve, self.quick = config, sieve, quick
-        self._optimize = config.pose.build()
+        self.config, self.sieve, self.quick, self._pose = config, sieve, quick, pose
         self._velocity = ConstantVelocity()
         self._last: Tracked | None = None
         self._T_reference_last: F64 | None = None
@@ -183,12 +202,14 @@ class Tracker:
         fix = None
         if last is not None and last.T_world_cam is not None and self._velocity.is_known:
             guess = self._velocity.predict(last.T_world_cam)
+            frame = self._pose.at_mid_frame(frame, self._pose.expected(guess, self._before(frame, world)))
             guess = self.quick.localize(frame, last, guess, semantics, world)  # low-cost tracking, where there is any
             fix = self._with_motion_model(frame, last, guess, semantics, world)
         if fix is None and last is not None:
             fix = self._with_reference_keyframe(frame, last, semantics, world)
         if fix is None or last is None:
             return _lost(frame, self._reference)
+        frame = self._pose.at_mid_frame(frame, fix.velocity)
         return self._with_local_map(frame, fix, last.reference_keyframe, semantics, world)
 
     def start(self, frame: Frame, semantics: Pending[Semantics], world: Map) -> Tracked:
@@ -256,14 +277,17 @@ class Tracker:
             semantics: What is potentially dynamic in it.
             world: The map.
         """
+        frame = self._pose.at_mid_frame(frame, self._pose.expected(guess, self._before(frame, world)))
         usable = Matches.of(np.where(frame.is_static, point_ids, np.int32(-1)))
         unasked = Motion.none(len(frame), frame.image.height, frame.image.width)
         fix = self._fix(frame, guess, usable, unasked, world)
+        frame = self._pose.at_mid_frame(frame, fix.velocity)
         matches = Matches.of(fix.point_ids)
         motion = self.sieve.judge(Question(Stage.LOCAL_MAP, frame, matches, semantics, fix.T_cam_world, world))
         kept = matches.keep(motion.is_static[matches.keypoint])
         if len(kept) < len(matches) or motion.p_static is not None:
             fix = self._fix(frame, fix.T_cam_world, kept, motion, world)
+            frame = self._pose.at_mid_frame(frame, fix.velocity)
         world.points.n_visible[matches.point_id] += 1
         world.points.n_found[fix.point_ids[fix.point_ids >= 0]] += 1
         T_world_cam = se3.orthonormalize(se3.inverse(fix.T_cam_world))
@@ -298,6 +322,13 @@ class Tracker:
             return None
         T_world_last: F64 = world.keyframe_pose(self._last.reference_keyframe) @ self._T_reference_last
         return T_world_last
+
+    def _before(self, frame: Frame, world: Map) -> Before | None:
+        """Return the frame before this one, as known now."""
+        T_world_last = self._last_pose_as_known_now(world)
+        if self._last is None or T_world_last is None:
+            return None
+        return Before(T_world_last, frame.timestamp_s - self._last.frame.timestamp_s)
 
     def _with_motion_model(
         self, frame: Frame, last: Tracked, guess: F64, semantics: Pending[Semantics], world: Map
@@ -346,7 +377,7 @@ class Tracker:
         if len(inliers) < self._inliers_needed():
             return _lost(frame, surroundings.reference, motion)
         return Tracked(
-            frame,
+            self._pose.at_mid_frame(frame, refined.velocity),
             TrackingState.OK,
             se3.orthonormalize(se3.inverse(refined.T_cam_world)),
             refined.point_ids,
@@ -364,20 +395,13 @@ class Tracker:
 
     def _fix(self, frame: Frame, guess: F64, matches: Matches, motion: Motion, world: Map) -> _Fix:
         """Optimise the pose over the matches and return it with its inliers."""
-        kp = frame.keypoints
-        right_px = kp.right_px[matches.keypoint]
-        estimate = self._optimize(
-            guess,
-            world.points.position_m[matches.point_id],
-            observations.observed_px(kp.px[matches.keypoint], right_px),
-            observations.weights(kp.octave[matches.keypoint], right_px, frame.scales.inverse_variances),
-            frame.camera,
-            None if motion.p_static is None else motion.p_static[matches.keypoint],
-        )
+        depth, turn = self.config.depth, turn_rad_s(guess, self._before(frame, world))
+        right_sigma = depth.right_sigma if turn <= depth.max_turn_rad_s else 1.0
+        fitted = self._pose.fit(frame, guess, matches, world, motion.p_static, right_sigma)
         point_ids = np.full(len(frame), -1, dtype=np.int32)
-        inlier = estimate.is_inlier
+        inlier = fitted.is_inlier
         point_ids[matches.keypoint[inlier]] = matches.point_id[inlier]
-        return _Fix(estimate.T_cam_world, point_ids, motion, matches.point_id[~inlier])
+        return _Fix(fitted.T_cam_world, point_ids, motion, matches.point_id[~inlier], fitted.velocity)
 
 
 def _alive(keyframe: int, world: Map) -> int:

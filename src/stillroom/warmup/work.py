@@ -1,7 +1,7 @@
 """Calls of all kernels: a run with every part, its maps, their pictures, exports and figures, and the renderer."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 
 import cv2
@@ -44,11 +44,14 @@ from stillroom.semantics.masks.refine import RefineConfig, refined
 from stillroom.semantics.masks.regions import RegionsConfig, as_semantics
 from stillroom.semantics.truth import TrueSemanticsConfig
 from stillroom.system import System, build
+from stillroom.tracking.shutter import ROLLING
+from stillroom.tracking.tracker import TrackerConfig
 from stillroom.viz.cloud.render import CloudRendererConfig
 from stillroom.viz.cloud.view import default_view
 
 CAMERA = Camera(640, 480, 525.0, 525.0, 319.5, 239.5, depth_factor=5000.0, bf=40.0)
 N_IMAGES = 10
+N_ROLLED, READOUT_S = 4, 0.01
 PERSON = Box(260.0, 120.0, 380.0, 400.0, "person", confidence=1.0)
 PERSON_M = 1.8
 """Near enough to the wall that ghosts there are searched. The person walks as fast as the camera."""
@@ -116,6 +119,7 @@ def _texture(seed: int, height: int, width: int) -> U8:
 def do_everything() -> None:
     """Track the synthetic scene with all parts, and run all operations on its maps."""
     system = track()
+    roll()
     segment()
     recognise(system)
     reduce_sparsely()
@@ -140,6 +144,15 @@ def track() -> System:
         system.process(image)
     system.close()
     return system
+
+
+def roll() -> None:
+    """Track the scene as if its rows had been read one after the other."""
+    rolling = SlamConfig(tracking=TrackerConfig(shutter=ROLLING))
+    system = build(rolling, replace(CAMERA, readout_s=READOUT_S))
+    for image in islice(images(), N_ROLLED):
+        system.process(image)
+    system.close()
 
 
 def segment() -> None:

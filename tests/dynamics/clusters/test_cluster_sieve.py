@@ -300,3 +300,19 @@ def test_the_scene_has_what_it_is_asked_about() -> None:
     assert semantics.clusters.box.tolist() == [-1, 0]
     assert on(frame, CHAIR).sum() > 20
     assert np.all(frame.keypoints.depth_m[on(frame, PERSON)] == np.float32(PERSON.depth_m))
+
+
+@pytest.mark.parametrize(("limit_rad_s", "moves"), [(1e3, True), (0.5, False)])
+def test_while_the_camera_turns_fast_nothing_is_evidence_for_motion(limit_rad_s: float, moves: bool) -> None:
+    """By the pose the camera turned by 0.1 rad in a tenth of a second; depth lags behind, and shows no turn."""
+    play = Play(ClusterSieveConfig(max_turn_rad_s=limit_rad_s).build(parts()))
+    play.during(2.0)
+    turned = pose(turn=(0.0, 0.1, 0.0))
+    motion, _ = play.show(CHAIR, T_world_cam=turned)
+    assert bool(motion.moving.any()) == moves
+
+
+def test_a_slow_turn_hides_nobody() -> None:
+    play = Play(ClusterSieveConfig(max_turn_rad_s=0.5).build(parts()))
+    play.during(2.0, CHAIR)
+    assert share(play.show(CHAIR, PERSON)[0], PERSON) == 1.0

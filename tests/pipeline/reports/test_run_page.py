@@ -54,6 +54,7 @@ def test_the_numbers_are_those_of_metrics_json(four: dict[str, Path]) -> None:
         errors += [
             given[kind][what] for kind in ("rpe_1s", "rpe_30_frames") for what in ("translation_m", "rotation_deg")
         ]
+        errors += [given["smoothness"][what] for what in ("slow_m", "fast_m", "jitter_m", "jitter_deg")]
         wanted += [one[name] for one in errors for name in ("rmse", "mean", "median", "std", "min", "max")]
         assert page.numbers == wanted
 

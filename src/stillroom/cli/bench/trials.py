@@ -1,4 +1,4 @@
-"""`stillroom bench accuracy`, `rejection`, `parts` and `speed`: repeated runs of methods."""
+"""`stillroom bench accuracy`, `rejection`, `parts`, `shutter` and `speed`: repeated runs of methods."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -10,6 +10,7 @@ from stillroom.bench import accuracy as exactness
 from stillroom.bench import live_speed as living
 from stillroom.bench import parts as combining
 from stillroom.bench import rejection as rejecting
+from stillroom.bench import shutter as rolling
 from stillroom.bench import speed as cost
 from stillroom.bench.ghost_trials import HEADER, Ghosts, stretches
 from stillroom.bench.ghost_trials import ghosts as judged
@@ -150,6 +151,33 @@ def parts(
         rows, notes = [part.row() for part in table], combining.sentences(table, withheld)
         bench.print_table(dataset.name, combining.HEADER, rows, notes)
         bench.keep([part.to_dict(table[0]) for part in table])
+    bench.finish()
+
+
+def shutter(
+    sequences: Sequences,
+    method: Annotated[str, typer.Option(metavar="NAME", help="The preset whose parts are compared.")] = "stillroom",
+    runs: Runs = 1,
+    frames: Frames = None,
+    camera: Camera = None,
+    settings: Settings = None,
+    tables: Tables = None,
+    out: Out = None,
+) -> None:
+    """Compare what models the camera itself, each part alone and all together: ATE, jitter, fast and slow error, RPE.
+
+    Parts are the rolling shutter, the trajectory prior, depth weights, and the turn limit above which clusters are not
+    judged.
+    """
+    configs = rolling.shutter_parts(configure(method, None, settings or ()))
+    bench = Bench("shutter", out, tables)
+    for sequence in sequences:
+        dataset = bench.open(Source(sequence, camera, frames=frames))
+        table = bench.each(configs, bench.seeds_of(dataset, runs))
+        if table:
+            notes = rolling.sentences(table, dataset.camera.readout_s)
+            bench.print_table(dataset.name, rolling.HEADER, [rolling.row(one) for one in table], notes)
+            bench.keep([one.to_dict(table[0]) for one in table])
     bench.finish()
 
 

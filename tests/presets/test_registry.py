@@ -216,7 +216,7 @@ def test_a_wrong_entry_point_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_an_unknown_method_names_the_nearest() -> None:
-    with pytest.raises(ConfigError, match=r"'ocslam'; did you mean 'oc-slam'\? known: orb-slam2, oc-slam"):
+    with pytest.raises(ConfigError, match=r"'ocslam'; did you mean 'oc-slam'\? known: orb-slam2, stillroom, oc-slam"):
         method("ocslam")
 
 

@@ -38,8 +38,8 @@ PLUGINS: PluginGroup[Method] = PluginGroup(
     "stillroom.methods", "method", "a Method", lambda offered: isinstance(offered, Method)
 )
 OWN = (
-    stillroom.METHOD,
     orb_slam2.METHOD,
+    stillroom.METHOD,
     oc_slam.METHOD,
     oc_slam_paper.METHOD,
     pspnet_slam.METHOD,

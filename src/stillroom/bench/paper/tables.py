@@ -67,9 +67,9 @@ def _notes(paper: Paper, found: Sequence[SequenceRuns]) -> list[str]:
     ]
     if paper.both_loops:
         lines.append(
-            "loops: how many the runs closed; … loops on, off: the preset with loop closing the other way; 'as above' "
-            "where no run closed a loop, so that nothing differs; no loops: both systems with loop closing off, as the "
-            "paper's"
+            "loops: how many the runs closed; loops on, off: the preset with loop closing the other way, the same runs "
+            "where none closed a loop or merged maps, so that nothing differs; no loops: both systems without loop "
+            "closing, as the paper's"
         )
     keys = {one.asked.printed for one in found}
     lines += [slip.sentence() for slip in paper.misprints if slip.sequence in keys]
@@ -168,9 +168,8 @@ def _run_rows(paper: Paper, one: SequenceRuns) -> list[tuple[str, ...]]:
             continue
         rows.append((name, system, *_figures(base, runs.accuracy, printed, system == paper.baseline)))
         if runs.other is not None:
-            label = f"… loops {'off' if runs.has_loops else 'on'}"
-            same = ("as above", *[NONE] * 8)
-            rows.append(("", label, *(same if runs.is_same else _figures(base, runs.other, NONE, False))))
+            label = f"{system}, loops {'off' if runs.has_loops else 'on'}"
+            rows.append(("", label, *_figures(base, runs.other, NONE, False)))
     return rows
 
 

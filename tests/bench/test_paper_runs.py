@@ -159,3 +159,17 @@ def test_where_loops_moved_the_map_the_table_has_both_systems_without_loops_too(
     # The letter closes no loops by itself.
     expected = [[0.1, 0.4], [0.4, 0.4], [0.1, 0.02], [0.4, 0.08]]
     np.testing.assert_allclose(cells, expected, rtol=0.01)
+
+
+def test_no_minus_stands_before_nothing() -> None:
+    pspnet = paper("pspnet-slam")
+    asked = sequences_of(pspnet, ["rgbd_bonn_crowd_first560"])[0]
+    systems = {}
+    for system, error_m in (("orb-slam2", 0.1), ("ds-slam", 0.10001)):
+        measure = measuring(lambda config, error_m=error_m: error_m, n_jumps=0)[1]
+        systems[system] = run_system(system, configure(system), measure, both_loops=False)
+    table = tables_of(pspnet, [SequenceRuns(asked, systems)])[0]
+    ours, printed, less = (dict(zip(table.header, row, strict=True)) for row in table.rows)
+    assert less["ds-slam"] == "0.0 %"
+    assert ours["sof-slam"] == less["sof-slam"] == "not run"
+    assert printed["ds-slam"] == "–"

@@ -135,7 +135,7 @@ def _better_than(base: Accuracy, ours: Accuracy, place: int = RMSE) -> str:
     if theirs is None or own is None:
         return NONE
     gain = improvement_percent(theirs[place].median, own[place].median)
-    return NONE if gain is None else f"{gain:.1f} %"
+    return NONE if gain is None else f"{round(gain, 1) + 0.0:.1f} %"  # no minus before nothing
 
 
 # PSPNet-SLAM's Table 1: systems side by side, and the reduction against ORB-SLAM2, which its text describes.
@@ -219,8 +219,9 @@ def _times(paper: Paper, found: Sequence[SequenceRuns]) -> NamedTable:
         (time.system, f"{time.of} ({time.source})", *[NONE] * len(found), f"{time.ms:.0f}") for time in paper.times
     ]
     notes = [
-        "wall time, network and mapping included, without the dense map; median of the runs' means, one thread of: "
-        f"{processor()}; a machine that does something else meanwhile prints more"
+        "ours: CPU time, network and mapping included, without the dense map; median of the runs' means, one thread of "
+        f"{processor()}. Printed times are of the wall clock: on a machine that does nothing else the two are alike "
+        "('frame_wall_ms' in the file)"
     ]
     return NamedTable("Time of a frame [ms]", header, rows, N_WORDS, notes)
 
@@ -228,5 +229,4 @@ def _times(paper: Paper, found: Sequence[SequenceRuns]) -> NamedTable:
 def _frame_ms(runs: SystemRuns | None) -> str:
     if runs is None or runs.accuracy is None:
         return NOT_RUN
-    times = sorted(trial.frame_wall_ms for trial in runs.accuracy.trials)
-    return f"{times[len(times) // 2]:.1f}"
+    return f"{runs.accuracy.frame_cpu_ms.median:.1f}"

@@ -142,3 +142,34 @@ def test_the_table_has_the_errors_of_both_and_the_gains() -> None:
     notes = tables["All runs, RMSE of the ATE [m]"].notes
     assert "* a misprint: OC-SLAM on walking_xyz, an improvement of 84.1 %: 0.129 against 0.756 is 82.9 %" in notes
     assert not any("walking_halfsphere" in note for note in notes)
+
+
+def test_where_loops_moved_the_map_the_table_has_both_systems_without_loops_too() -> None:
+    oc = paper("oc-slam")
+    asked = sequences_of(oc, ["rgbd_bonn_crowd_first560"])[0]
+    systems = {}
+    for system, error_m in (("orb-slam2", 0.1), ("oc-slam-paper", 0.1), ("oc-slam", 0.02)):
+        measure = measuring(lambda config, error_m=error_m: error_m * (1 if config.loops.enabled else 4), n_jumps=2)[1]
+        systems[system] = run_system(system, configure(system), measure, both_loops=True)
+    tables = {table.title: table for table in tables_of(oc, [SequenceRuns(asked, systems)])}
+    of_letter, of_ours = (tables[f"Table 1, proposed: {system}"].rows for system in oc.proposed)
+    for rows in (of_letter, of_ours):
+        assert [row[1] for row in rows] == ["ours", "no loops", "printed"]
+    cells = [[float(cell) for cell in row[2::3][:2]] for rows in (of_letter, of_ours) for row in rows[:2]]
+    # The letter closes no loops by itself.
+    expected = [[0.1, 0.4], [0.4, 0.4], [0.1, 0.02], [0.4, 0.08]]
+    np.testing.assert_allclose(cells, expected, rtol=0.01)
+
+
+def test_no_minus_stands_before_nothing() -> None:
+    pspnet = paper("pspnet-slam")
+    asked = sequences_of(pspnet, ["rgbd_bonn_crowd_first560"])[0]
+    systems = {}
+    for system, error_m in (("orb-slam2", 0.1), ("ds-slam", 0.10001)):
+        measure = measuring(lambda config, error_m=error_m: error_m, n_jumps=0)[1]
+        systems[system] = run_system(system, configure(system), measure, both_loops=False)
+    table = tables_of(pspnet, [SequenceRuns(asked, systems)])[0]
+    ours, printed, less = (dict(zip(table.header, row, strict=True)) for row in table.rows)
+    assert less["ds-slam"] == "0.0 %"
+    assert ours["sof-slam"] == less["sof-slam"] == "not run"
+    assert printed["ds-slam"] == "–"

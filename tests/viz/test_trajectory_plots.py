@@ -157,3 +157,16 @@ def test_the_same_plot_gives_the_same_bytes(tmp_path: Path, suffix: str) -> None
     for name in ("a", "b"):
         PLOTS["error"](tmp_path / f"{name}.{suffix}")
     assert (tmp_path / f"a.{suffix}").read_bytes() == (tmp_path / f"b.{suffix}").read_bytes()
+
+
+def test_among_many_lines_the_true_one_lies_on_top(tmp_path: Path) -> None:
+    truth, path = walk(0.0), tmp_path / "above.png"
+    plot_from_above(path, {f"system {n}": truth for n in range(8)}, truth)
+    picture = read(path)[: -picture_legend_px(8)]
+    assert shows(picture, TRUTH) > 3000
+    assert sum(shows(picture, color) for color in ESTIMATES) < 0.1 * shows(picture, TRUTH)
+
+
+def picture_legend_px(n_lines: int) -> int:
+    """Height of the legend below, of four names a row and two more for truth and start."""
+    return 60 * -(-(n_lines + 2) // 4) + 40

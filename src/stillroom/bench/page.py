@@ -79,11 +79,11 @@ def write_bench_page(
         for each in tables
         if each.rows
     ]
+    album = Album()
+    sections.append(Section("Pictures", [gallery([album.figure(*one) for one in pictures], in_a_row=1)]))
     drawn = [block for name, bars in series.items() for block in _drawn(name, bars)]
     if drawn:
         sections.append(Section("Figures", [*drawn, paragraphs([NOTE], "note")]))
-    album = Album()
-    sections.append(Section("Pictures", [gallery([album.figure(*one) for one in pictures], in_a_row=1)]))
     lines = [f"{name}: {value}" for name, value in how.items() if not isinstance(value, Mapping)]
     lines += [f"{part} {value}" for one in how.values() if isinstance(one, Mapping) for part, value in one.items()]
     sections.append(Section("How it came about", [folded("versions, commit, command", "\n".join(lines))]))

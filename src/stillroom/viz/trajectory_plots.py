@@ -12,6 +12,9 @@ from stillroom.viz.style import ESTIMATES, TRUTH, picture
 
 AXES = "xyz"
 
+CROWDED = 4
+"""From above, more lines than this are thin, and the true one lies on top."""
+
 GAP_STEPS = 5.0
 """A line breaks where the next pose is later than this many median steps: gaps are not drawn."""
 
@@ -26,13 +29,17 @@ def plot_from_above(path: Path, estimates: Mapping[str, Trajectory], groundtruth
         title: Shown above.
     """
     across, up = plane_of(groundtruth.positions_m)
+    is_crowded = len(estimates) > CROWDED
     with picture(path, 7.0, 6.2) as figure:
         axes = figure.add_subplot()
         _, true_m = with_breaks(groundtruth.timestamps_s, groundtruth.positions_m)
-        axes.plot(true_m[:, across], true_m[:, up], color=TRUTH, lw=1.4, label="ground truth")
+        # Among many lines the true one would be buried.
+        on_top = {"lw": 1.6, "zorder": 4} if is_crowded else {"lw": 1.4}
+        axes.plot(true_m[:, across], true_m[:, up], color=TRUTH, label="ground truth", **on_top)
         for (name, trajectory), (color, dashes) in zip(estimates.items(), _lines(), strict=False):
             _, positions_m = with_breaks(trajectory.timestamps_s, trajectory.positions_m)
-            axes.plot(positions_m[:, across], positions_m[:, up], color=color, ls=dashes, label=name)
+            thin = {"lw": 0.9} if is_crowded else {}
+            axes.plot(positions_m[:, across], positions_m[:, up], color=color, ls=dashes, label=name, **thin)
         start_m = groundtruth.positions_m[0]
         axes.plot(start_m[across], start_m[up], "o", ms=7, mfc="white", mec=TRUTH, mew=1.4, zorder=5, label="start")
         axes.set(xlabel=f"{AXES[across]} [m]", ylabel=f"{AXES[up]} [m]", title=title)

@@ -67,9 +67,9 @@ def _notes(paper: Paper, found: Sequence[SequenceRuns]) -> list[str]:
     ]
     if paper.both_loops:
         lines.append(
-            "loops: how many the runs closed; … loops on, off: the preset with loop closing the other way; 'as above' "
-            "where no run closed a loop, so that nothing differs; no loops: both systems with loop closing off, as the "
-            "paper's"
+            "loops: how many the runs closed; loops on, off: the preset with loop closing the other way, the same runs "
+            "where none closed a loop or merged maps, so that nothing differs; no loops: both systems without loop "
+            "closing, as the paper's"
         )
     keys = {one.asked.printed for one in found}
     lines += [slip.sentence() for slip in paper.misprints if slip.sequence in keys]
@@ -135,7 +135,7 @@ def _better_than(base: Accuracy, ours: Accuracy, place: int = RMSE) -> str:
     if theirs is None or own is None:
         return NONE
     gain = improvement_percent(theirs[place].median, own[place].median)
-    return NONE if gain is None else f"{gain:.1f} %"
+    return NONE if gain is None else f"{round(gain, 1) + 0.0:.1f} %"  # no minus before nothing
 
 
 # PSPNet-SLAM's Table 1: systems side by side, and the reduction against ORB-SLAM2, which its text describes.
@@ -168,9 +168,8 @@ def _run_rows(paper: Paper, one: SequenceRuns) -> list[tuple[str, ...]]:
             continue
         rows.append((name, system, *_figures(base, runs.accuracy, printed, system == paper.baseline)))
         if runs.other is not None:
-            label = f"… loops {'off' if runs.has_loops else 'on'}"
-            same = ("as above", *[NONE] * 8)
-            rows.append(("", label, *(same if runs.is_same else _figures(base, runs.other, NONE, False))))
+            label = f"{system}, loops {'off' if runs.has_loops else 'on'}"
+            rows.append(("", label, *_figures(base, runs.other, NONE, False)))
     return rows
 
 
@@ -220,8 +219,9 @@ def _times(paper: Paper, found: Sequence[SequenceRuns]) -> NamedTable:
         (time.system, f"{time.of} ({time.source})", *[NONE] * len(found), f"{time.ms:.0f}") for time in paper.times
     ]
     notes = [
-        "wall time, network and mapping included, without the dense map; median of the runs' means, one thread of: "
-        f"{processor()}; a machine that does something else meanwhile prints more"
+        "ours: CPU time, network and mapping included, without the dense map; median of the runs' means, one thread of "
+        f"{processor()}. Printed times are of the wall clock: on a machine that does nothing else the two are alike "
+        "('frame_wall_ms' in the file)"
     ]
     return NamedTable("Time of a frame [ms]", header, rows, N_WORDS, notes)
 
@@ -229,5 +229,4 @@ def _times(paper: Paper, found: Sequence[SequenceRuns]) -> NamedTable:
 def _frame_ms(runs: SystemRuns | None) -> str:
     if runs is None or runs.accuracy is None:
         return NOT_RUN
-    times = sorted(trial.frame_wall_ms for trial in runs.accuracy.trials)
-    return f"{times[len(times) // 2]:.1f}"
+    return f"{runs.accuracy.frame_cpu_ms.median:.1f}"

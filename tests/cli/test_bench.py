@@ -98,7 +98,7 @@ def test_accuracy_writes_a_page_and_tables_with_the_figures_of_its_file(
     stem = "figures_synthetic_walking_sway_office_270_seed0"
     names = [path.name for path in written]
     assert names[:3] == [f"{stem}.csv", f"{stem}.tex", f"{stem}.md"]
-    assert [name.partition(".")[0] for name in names[3:]] == [f"{stem}_smoothness_and_time"] * 3
+    assert [name.partition(".")[0] for name in names[3:]] == [f"{stem}-smoothness-and-time"] * 3
     with written[0].open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
     assert [row["method"] for row in rows] == [row["method"] for row in figures["rows"]]

@@ -121,8 +121,9 @@ class System:
             image: The image that repeats it.
         """
         repeated = replace(
-            result, index=image.index, timestamp_s=image.timestamp_s, is_keyframe=False, recovery=Recovery.NONE
-        )
+            result, index=image.index, timestamp_s=image.timestamp_s, is_keyframe=False, recovery=Recovery.NONE,
+            n_agreeing=0,
+        )  # fmt: skip
         self.n_repeated += 1
         self.results.append(repeated.summary)
         self.keeper.note(repeated.summary)
@@ -227,6 +228,7 @@ class System:
 
     def _conclude(self, tracked: Tracked, semantics: Perceived, keyframe: int) -> FrameResult:
         """Store the frame in tracker and sieve, after mapping, and keep a summary of it."""
+        n_agreeing = tracked.n_inliers
         if keyframe >= 0:
             tracked = replace(
                 tracked,
@@ -252,6 +254,7 @@ class System:
             T_reference_cam=self._in_reference(tracked),
             submap=self._submap_of(tracked),
             recovery=tracked.recovery,
+            n_agreeing=n_agreeing,
             motion=replace(tracked.motion, is_static=tracked.is_static),
             keypoints=frame.keypoints,
         )
@@ -358,8 +361,8 @@ def segmenter_of(config: SlamConfig, camera: Camera, schedule: Schedule | None =
 
 def _as_arrays(trajectory: Trajectory, placed: list[FrameSummary]) -> tuple[F64, F64, F64]:
     """Return times (N,) and poses (N, 4, 4) of a trajectory, and how many points agree with each (N,)."""
-    n_inliers = np.array([result.n_inliers for result in placed], dtype=np.float64)
-    return trajectory.timestamps_s, trajectory.T_world_cam, n_inliers
+    n_agreeing = np.array([result.n_agreeing for result in placed], dtype=np.float64)
+    return trajectory.timestamps_s, trajectory.T_world_cam, n_agreeing
 
 
 def _trajectory(timestamps_s: list[float], poses: list[F64]) -> Trajectory:

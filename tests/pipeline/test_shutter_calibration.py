@@ -59,7 +59,7 @@ def test_a_camera_at_rest_is_refused_in_one_line() -> None:
 
 
 def test_too_few_frames_are_refused() -> None:
-    with pytest.raises(CalibrationError, match="only 16 frames tell of the shutter, 30 are needed"):
+    with pytest.raises(CalibrationError, match="only 13 frames tell of the shutter, 30 are needed"):
         calibrate_shutter(select(open_dataset(TURNING), "0:20", (), (), False), STATIC)
 
 

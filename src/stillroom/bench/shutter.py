@@ -19,8 +19,8 @@ NOTHING, PRIOR, SHUTTER, DEPTH, TURNS, ALL = "nothing", "prior", "shutter", "dep
 def shutter_parts(config: SlamConfig) -> dict[str, SlamConfig]:
     """Return the configs by name, from a method's: nothing, each part alone, and all of them.
 
-    Values are the method's own where it has a part, else those of `stillroom`. There is no row for the limit of turns
-    where a method has no cluster sieve.
+    Values are the method's own where it has a part, else those of `stillroom`; depth weights are always those. There is
+    no row for the turn limit where a method has no cluster sieve.
     """
     prior = replace(config.trajectory, enabled=True)
     nothing = replace(

@@ -94,6 +94,8 @@ class FrameSummary:
         T_reference_cam: Pose in that keyframe (4, 4); None when lost.
         submap: Id of the sub-map that the pose was in at this moment; it may be merged later.
         recovery: How the frame was relocalized, where tracking was lost before it.
+        n_agreeing: Map points that the pose was found from: without those that a keyframe then made of its own depth,
+            and 0 for an image that repeats the one before.
     """
 
     index: int
@@ -109,6 +111,7 @@ class FrameSummary:
     T_reference_cam: F64 | None
     submap: int = 0
     recovery: Recovery = Recovery.NONE
+    n_agreeing: int = 0
 
 
 @dataclass(frozen=True)

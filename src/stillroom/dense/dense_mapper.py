@@ -212,6 +212,8 @@ class DenseMapper:
             self._fuse(self._views.new(keyframe, T_keyframe_cam), image, excluded, T_world_cam)
             if scores:
                 self._carver.ask_earlier(self._newborn)
+            elif self.config.carving.by_tree and excluded is not None:
+                self._remove_near_moving(image, excluded, T_world_cam, self._tick())
             self._keep_within_bound(T_world_cam)
 
     def refresh(self) -> None:

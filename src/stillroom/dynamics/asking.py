@@ -15,7 +15,7 @@ from stillroom.data.image import RgbdImage
 from stillroom.data.map import Map
 from stillroom.data.map.jumps import JumpFollower
 from stillroom.data.motion import Motion, Stage
-from stillroom.data.question import Question
+from stillroom.data.question import MIN_MATCHES, Question
 from stillroom.data.result import Tracked
 from stillroom.data.semantics import Semantics
 from stillroom.geometry import se3
@@ -55,6 +55,8 @@ class Asking:
             is_masked = found.movable_at(tracked.frame.keypoints.raw_px)
             motion = tracked.motion.united_with(Motion(~is_masked, found.movable))
         point_ids = np.where(motion.is_static, tracked.point_ids, np.int32(-1))
+        if np.count_nonzero(point_ids >= 0) < min(MIN_MATCHES, tracked.n_inliers):
+            return tracked  # as everywhere, what leaves too few matches is ignored
         return replace(tracked, motion=motion, point_ids=point_ids)
 
     def remember(self, frame: Frame, T_cam_world: F64, keyframe: int) -> None:

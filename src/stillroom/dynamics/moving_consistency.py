@@ -14,6 +14,7 @@ from stillroom.data.question import Question
 from stillroom.data.semantics import Instance, Semantics, union_of
 from stillroom.dynamics.asking import ImageMemory
 from stillroom.dynamics.flow_pairs import FlowPairs, flow_of, inside
+from stillroom.dynamics.homography.past import TOO_OLD_S
 from stillroom.geometry.arrays import F32, F64, U8, Bool
 from stillroom.geometry.camera import Camera
 from stillroom.geometry.pixels import Shape, grown, values_at
@@ -101,7 +102,9 @@ class MovingConsistency:
 
     def _moving_in(self, image: RgbdImage, found: Semantics, camera: Camera) -> Bool:
         """Return the pixels (H, W) of the segments that move."""
-        outliers_px = None if self._last is None else self._outliers_px(self._last, image, camera)
+        last = self._last
+        is_young = last is not None and image.timestamp_s - last.timestamp_s <= TOO_OLD_S
+        outliers_px = self._outliers_px(last, image, camera) if last is not None and is_young else None
         if outliers_px is None:
             return found.movable
         config = self.config

@@ -11,6 +11,7 @@ from stillroom.data.motion import Motion, Stage
 from stillroom.data.question import Question
 from stillroom.data.semantics import Semantics, filled
 from stillroom.dynamics.flow_pairs import flow_of, followed_back
+from stillroom.dynamics.homography.past import TOO_OLD_S
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F32, F64, Bool
 from stillroom.geometry.pixels import values_at
@@ -100,7 +101,8 @@ class MovingObjects:
 
     def _off_and_on(self, frame: Frame, found: Semantics) -> tuple[Bool, Bool]:
         unknown = np.zeros(len(frame), dtype=np.bool_)
-        if self._last is None or not found.has_any:
+        too_old = self._last is None or frame.timestamp_s - self._last[0].timestamp_s > TOO_OLD_S
+        if self._last is None or too_old or not found.has_any:
             return unknown, unknown
         last, boxes_then = self._last
         pairs = followed_back(frame, last, self._flow)

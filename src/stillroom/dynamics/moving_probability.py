@@ -151,7 +151,7 @@ class MovingProbability:
     def take_up(self, tracked: Tracked, found: Semantics) -> Motion:
         """Update the P of a keyframe's keypoints by its boxes, and classify them again."""
         now, frame = self._now, tracked.frame
-        same = now is not None and now.frame.keypoints is frame.keypoints
+        same = now is not None and now.frame.keypoints.raw_px is frame.keypoints.raw_px
         matched = now.matched if now is not None and same else np.full(len(frame), UNKNOWN)
         self._now = self._known(frame, matched, found)
         return self._motion(self._now.p_moving, found)
@@ -159,7 +159,7 @@ class MovingProbability:
     def remember(self, frame: Frame, T_cam_world: F64, keyframe: int) -> None:
         """Keep the frame, and the P of the points of a keyframe."""
         now = self._now
-        if now is None or now.frame.keypoints is not frame.keypoints:
+        if now is None or now.frame.keypoints.raw_px is not frame.keypoints.raw_px:
             return
         if keyframe >= 0:
             if not now.is_seen:  # a network for every image found nothing in this one

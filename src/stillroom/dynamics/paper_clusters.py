@@ -9,7 +9,7 @@ from stillroom.data.frame import Frame
 from stillroom.data.motion import Motion
 from stillroom.data.question import Question
 from stillroom.data.semantics import Box
-from stillroom.dynamics.paper_epipolar import PairTest, PaperEpipolarConfig
+from stillroom.dynamics.paper_epipolar import PairTest, PaperEpipolarConfig, same_keypoints
 from stillroom.geometry.arrays import F32, F64, Bool
 from stillroom.protocols import Parts
 
@@ -67,7 +67,7 @@ class PaperClusterSieve:
         if clusters is not None:
             n_clusters = len(clusters)
         verdict = self._verdict
-        if verdict is None or verdict.frame.image is not frame.image or len(verdict.moves) != n_clusters:
+        if verdict is None or not same_keypoints(verdict.frame, frame) or len(verdict.moves) != n_clusters:
             everything = np.ones(len(frame), dtype=np.bool_)
             self._verdict = verdict = _Verdict(frame, everything, np.zeros(n_clusters, dtype=np.bool_))
         if off_line.any():

@@ -122,14 +122,14 @@ class PaperEpipolarSieve:
         """Start without earlier images."""
         self.config = config
         self.test = PairTest(config, seed)
-        self._judged = -1
+        self._judged: Frame | None = None
         self._is_static = np.zeros(0, dtype=np.bool_)
 
     def judge(self, question: Question) -> Motion:
         """Classify the matches inside boxes by a fundamental matrix of those outside."""
         frame, matches, found = question.frame, question.matches, question.found
-        if frame.image.index != self._judged:
-            self._judged, self._is_static = frame.image.index, np.ones(len(frame), dtype=np.bool_)
+        if self._judged is None or not same_keypoints(self._judged, frame):
+            self._judged, self._is_static = frame, np.ones(len(frame), dtype=np.bool_)
         fails = self.test.off_line(question) & question.may_move[matches.keypoint]
         if fails.any():
             is_static = self._is_static.copy()
@@ -144,3 +144,8 @@ class PaperEpipolarSieve:
 
     def corrected(self, T_new_old: F64) -> None:
         """Do nothing: nothing that is kept depends on poses."""
+
+
+def same_keypoints(first: Frame, second: Frame) -> bool:
+    """Return whether two frames have the same keypoints of one image; a rolling shutter moves `px`, not `raw_px`."""
+    return first.image is second.image and first.keypoints.raw_px is second.keypoints.raw_px

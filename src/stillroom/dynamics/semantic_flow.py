@@ -11,6 +11,7 @@ from stillroom.data.motion import Motion
 from stillroom.data.question import Question
 from stillroom.data.semantics import Semantics, filled
 from stillroom.dynamics.flow_pairs import flow_of, followed_back
+from stillroom.dynamics.homography.past import TOO_OLD_S
 from stillroom.geometry.arrays import F64, Bool
 from stillroom.geometry.pixels import values_at
 from stillroom.geometry.robust import usac
@@ -81,7 +82,7 @@ class SemanticFlow:
 
     def _dynamic(self, frame: Frame, on_mask: Bool, is_labelled: Bool) -> Bool:
         """Return which keypoints (N,) are dynamic, given those on the mask and all those with a prior."""
-        if self._last is None:
+        if self._last is None or frame.timestamp_s - self._last[0].timestamp_s > TOO_OLD_S:
             return on_mask
         last, labelled_then = self._last
         pairs = followed_back(frame, last, self._flow)

@@ -18,6 +18,8 @@ STEP_S = 1.0 / 30.0
 LEAST_POSES = 4
 LONGEST_STEP_S = 0.25
 """Over a longer gap, such as while tracking was lost, nothing is known of the motion."""
+FASTEST_M_S = 5.0
+"""A faster step is no motion: the map was corrected there."""
 ITERATIONS = 3
 WINDOW = 20
 """Earlier frames that a lagged pose is estimated with; what lies further back hardly moves it."""
@@ -46,7 +48,7 @@ class TrajectoryPriorConfig:
 
 
 def smoothed(times_s: F64, T: F64, n_inliers: Floats, config: TrajectoryPriorConfig) -> F64:
-    """Return poses (N, 4, 4) under the prior; pieces between gaps are estimated each by itself.
+    """Return poses (N, 4, 4) under the prior; pieces between gaps and jumps are estimated each by itself.
 
     Args:
         times_s: Times (N,) [s], increasing.
@@ -55,7 +57,9 @@ def smoothed(times_s: F64, T: F64, n_inliers: Floats, config: TrajectoryPriorCon
         config: The prior.
     """
     result = T.copy()
-    ends = np.flatnonzero(np.diff(times_s) > LONGEST_STEP_S) + 1
+    steps_s, steps_m = np.diff(times_s), np.linalg.norm(np.diff(T[:, :3, 3], axis=0), axis=1)
+    jumps = (steps_s > LONGEST_STEP_S) | (steps_s <= 0.0) | (steps_m > FASTEST_M_S * steps_s)
+    ends = np.flatnonzero(jumps) + 1
     for piece in np.split(np.arange(len(times_s)), ends):
         if len(piece) >= LEAST_POSES:
             weights = np.maximum(n_inliers[piece], 1.0) / config.typical_inliers
@@ -133,5 +137,5 @@ def _normal_equations(J: F64, residual: F64, own: F64, off: F64) -> tuple[F64, F
                 for j in range(6):
                     below = 6 * (a - b) + i - j
                     if below >= 0:
-                        np.add.at(banded[below], columns + j, block[:, i, j])
+                        banded[below, columns + j] += block[:, i, j]
     return banded, slope

@@ -87,12 +87,18 @@ def calibrate_shutter(dataset: Dataset, config: SlamConfig, progress: RunProgres
     config = replace(
         config, tracking=tracking, trajectory=TrajectoryPriorConfig(enabled=False), dense=NoDenseMapConfig()
     )
-    used_s, runs = FIRST_GUESS_S, list[Readout]()
+    before_s, used_s, runs = 0.0, FIRST_GUESS_S, list[Readout]()
     for _ in range(MOST_RUNS):
         runs.append(_said_by_run(WithReadout(dataset, used_s), config, progress))
         before_s, used_s = used_s, min(max(runs[-1].readout_s, LEAST_READOUT_S), LONGEST_READOUT_S)
         if abs(used_s - before_s) < CLOSE_S:
             break
+    if abs(used_s - before_s) > max(CLOSE_S, 2.0 * runs[-1].sigma_s):
+        raise CalibrationError(
+            f"{dataset.name}: no readout stays the same from run to run ({1e3 * before_s:.1f} ms, then "
+            f"{1e3 * used_s:.1f}); give a longer recording in which the camera turns back and forth "
+            "[see troubleshooting: readout]"
+        )
     _refuse_what_does_not_tell(dataset, runs[-1])
     return ShutterCalibration(runs[-1], tuple(runs))
 
@@ -132,7 +138,8 @@ class _Rows:
     def on_frame(self, tracked: Tracked, semantics: Semantics, result: FrameResult) -> None:
         """Keep the keypoints that see a point."""
         frame, chosen = tracked.frame, np.flatnonzero(tracked.point_ids >= 0)
-        if tracked.T_world_cam is None:
+        # A keyframe has made points of its own depth, which agree with whatever readout is in use.
+        if tracked.T_world_cam is None or result.is_keyframe:
             return
         kp, camera = frame.keypoints, frame.camera
         px = camera.undistort(kp.raw_px[chosen])

@@ -127,8 +127,8 @@ class RollingShutterConfig:
         speed_m_s: The same of the speed. It shows in the rows as a turn does, and is known better from the poses.
     """
 
-    turn_rad_s: float = bounded(0.5, above=0)
-    speed_m_s: float = bounded(0.05, above=0)
+    turn_rad_s: float = bounded(0.1, above=0)
+    speed_m_s: float = bounded(0.02, above=0)
 
 
 class RollingShutter:

@@ -202,9 +202,10 @@ class Tracker:
         fix = None
         if last is not None and last.T_world_cam is not None and self._velocity.is_known:
             guess = self._velocity.predict(last.T_world_cam)
-            frame = self._pose.at_mid_frame(frame, self._pose.expected(guess, self._before(frame, world)))
-            guess = self.quick.localize(frame, last, guess, semantics, world)  # low-cost tracking, where there is any
-            fix = self._with_motion_model(frame, last, guess, semantics, world)
+            moved = self._pose.at_mid_frame(frame, self._pose.expected(guess, self._before(frame, world)))
+            guess = self.quick.localize(moved, last, guess, semantics, world)  # low-cost tracking, where there is any
+            fix = self._with_motion_model(moved, last, guess, semantics, world)
+            frame = frame if fix is None else moved  # a guess that failed says nothing of the rows
         if fix is None and last is not None:
             fix = self._with_reference_keyframe(frame, last, semantics, world)
         if fix is None or last is None:

@@ -159,17 +159,21 @@ class PaperAntsSieve:
         """Add what the network finds in a keyframe; the next frame is compared with what that leaves."""
         frame = tracked.frame
         masked = found.movable_at(frame.keypoints.raw_px)
-        before = self._masked[1] if self._masked is not None and self._masked[0] is frame else masked
+        before = self._masked[1] if self._is_of(frame) and self._masked is not None else masked
         self._masked = frame, masked | before
         return tracked.motion.united_with(Motion(~masked, found.movable))
 
     def remember(self, frame: Frame, T_cam_world: F64, keyframe: int) -> None:
         """Store the frame as the previous one; the ants remember their search."""
-        of_image = self._masked is not None and self._masked[0].keypoints is frame.keypoints
-        masked = self._masked[1] if of_image and self._masked is not None else np.zeros(len(frame), dtype=np.bool_)
+        known = self._masked is not None and self._is_of(frame)
+        masked = self._masked[1] if known and self._masked is not None else np.zeros(len(frame), dtype=np.bool_)
         self._previous = PreviousFrame(frame, masked, T_cam_world.copy())
         if self.projected is not None and self.projected.index == frame.image.index:
             self._ants.remember(self.projected.test.raw_px, self.projected.found)
+
+    def _is_of(self, frame: Frame) -> bool:
+        """Return whether the masks are those of a frame; a rolling shutter moves its keypoints, not where they are."""
+        return self._masked is not None and self._masked[0].keypoints.raw_px is frame.keypoints.raw_px
 
     def corrected(self, T_new_old: F64) -> None:
         """Correct the stored pose."""
@@ -193,7 +197,7 @@ class PaperAntsSieve:
     def _frame_of(self, question: Question) -> _Compensated:
         """Return the compensation frame, made once for each image."""
         frame, known, made = question.frame, question.found, self._compensated
-        if made is None or made.frame.keypoints is not frame.keypoints or made.known is not known:
+        if made is None or made.frame.keypoints.raw_px is not frame.keypoints.raw_px or made.known is not known:
             previous, moved = self._previous, None
             if previous is not None and 0.0 < frame.timestamp_s - previous.frame.timestamp_s <= TOO_OLD_S:
                 masked = known.movable_at(frame.keypoints.raw_px)

@@ -123,6 +123,7 @@ ON_LEVELS = {
     "dynamics.boxes.keyframe_px",
     "dynamics.boxes.local_map_px",
     "dynamics.boxes.motion_model_px",
+    "dynamics.search_px",
     "joining.verification.window_px",
     "loops.verification.window_px",
     "low_cost.window_px",

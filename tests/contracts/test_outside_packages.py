@@ -201,7 +201,7 @@ def test_what_is_of_another_type_is_said(group: str, install: Install) -> None:
         (
             "stillroom.methods",
             "mine = mine_of_a_test:METHOD",
-            "from stillroom.presets.registry import OWN\nMETHOD = OWN[1]\n",
+            "from stillroom.presets.registry import OWN\nMETHOD = OWN[2]\n",
             "there is a method 'oc-slam' already",
         ),
         (

@@ -99,4 +99,5 @@ def test_the_middle_eigenvalue_is_that_of_numpy() -> None:
         Q = np.linalg.qr(rng.normal(size=(3, 3)))[0]
         M = Q @ np.diag(scales) @ Q.T
         found = middle_eigenvalue(M[0, 0], M[0, 1], M[0, 2], M[1, 1], M[1, 2], M[2, 2])
-        assert found == pytest.approx(sorted(scales)[1], abs=1e-9)
+        # Where two eigenvalues are the same, rounding moves them by the root of a float's precision.
+        assert found == pytest.approx(sorted(scales)[1], abs=3e-8)

@@ -26,6 +26,8 @@ FIRST_GUESS_S = 0.02
 LEAST_READOUT_S = 1e-4
 """A run with less would take all rows to be read at once, and bend the map where they are not."""
 CLOSE_S = 0.0005
+UNSETTLED_S = 3e-3
+"""A readout that the last run has changed by more than this is none."""
 MOST_RUNS = 3
 LEAST_FRAMES = 30
 LEAST_SPEED_PX_S = 30.0
@@ -93,7 +95,7 @@ def calibrate_shutter(dataset: Dataset, config: SlamConfig, progress: RunProgres
         before_s, used_s = used_s, min(max(runs[-1].readout_s, LEAST_READOUT_S), LONGEST_READOUT_S)
         if abs(used_s - before_s) < CLOSE_S:
             break
-    if abs(used_s - before_s) > max(CLOSE_S, 2.0 * runs[-1].sigma_s):
+    if abs(used_s - before_s) > max(UNSETTLED_S, 3.0 * runs[-1].sigma_s):
         raise CalibrationError(
             f"{dataset.name}: no readout stays the same from run to run ({1e3 * before_s:.1f} ms, then "
             f"{1e3 * used_s:.1f}); give a longer recording in which the camera turns back and forth "

@@ -107,11 +107,17 @@ def linearize_pose(T: F64, seen: Seen, is_active: Bool, deltas2: tuple[float, fl
 
 
 @njit(nogil=True, cache=True)
-def damped_step(H: F64, b: F64, damping: float, T: F64, T_trial: F64) -> float:
-    """Solve (H + λ diag H) ξ = −b by Cholesky and write exp(ξ) T into `T_trial` (4, 4); return |ξ|, −1 if it fails."""
-    L = np.zeros((6, 6))
-    xi = np.empty(6)
-    for i in range(6):
+def solve_damped(H: F64, b: F64, damping: float, step: F64) -> bool:
+    """Solve (H + λ diag H) δ = −b by Cholesky, of the lower triangle of `H` (n, n); return whether it has a solution.
+
+    Args:
+        H, b: The normal equations (n, n), (n,).
+        damping: λ.
+        step: δ (n,), written.
+    """
+    n = len(b)
+    L = np.zeros((n, n))
+    for i in range(n):
         for j in range(i + 1):
             s = H[i, j]
             for k in range(j):
@@ -121,17 +127,26 @@ def damped_step(H: F64, b: F64, damping: float, T: F64, T_trial: F64) -> float:
                 continue
             s += damping * H[i, i] + 1e-9
             if not s > 0.0:
-                return -1.0
+                return False
             L[i, i] = np.sqrt(s)
-    for i in range(6):
-        xi[i] = -b[i]
+    for i in range(n):
+        step[i] = -b[i]
         for k in range(i):
-            xi[i] -= L[i, k] * xi[k]
-        xi[i] /= L[i, i]
-    for i in range(5, -1, -1):
-        for k in range(i + 1, 6):
-            xi[i] -= L[k, i] * xi[k]
-        xi[i] /= L[i, i]
+            step[i] -= L[i, k] * step[k]
+        step[i] /= L[i, i]
+    for i in range(n - 1, -1, -1):
+        for k in range(i + 1, n):
+            step[i] -= L[k, i] * step[k]
+        step[i] /= L[i, i]
+    return True
+
+
+@njit(nogil=True, cache=True)
+def damped_step(H: F64, b: F64, damping: float, T: F64, T_trial: F64) -> float:
+    """Solve (H + λ diag H) ξ = −b by Cholesky and write exp(ξ) T into `T_trial` (4, 4); return |ξ|, −1 if it fails."""
+    xi = np.empty(6)
+    if not solve_damped(H, b, damping, xi):
+        return -1.0
     norm: float = np.sqrt((xi * xi).sum())
     if not norm < np.inf:
         return -1.0

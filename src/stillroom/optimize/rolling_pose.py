@@ -27,7 +27,7 @@ from stillroom.optimize.observations import (
     retract,
     to_camera,
 )
-from stillroom.optimize.pose import MIN_OBSERVATIONS, PoseOptimizerConfig
+from stillroom.optimize.pose import MIN_OBSERVATIONS, PoseOptimizerConfig, solve_damped
 
 _FIRST_DAMPING = 1e-5
 _TINY_STEP = 1e-7
@@ -136,29 +136,9 @@ def linearize_rows(
 @njit(nogil=True, cache=True)
 def damped_step_rows(H: F64, b: F64, damping: float, T: F64, velocity: F64, T_trial: F64, velocity_trial: F64) -> float:
     """Solve (H + λ diag H) δ = −b by Cholesky, write pose and velocity moved; return the pose's |δ|, −1 if it fails."""
-    n = 12
-    L, step = np.zeros((n, n)), np.empty(n)
-    for i in range(n):
-        for j in range(i + 1):
-            s = H[i, j]
-            for k in range(j):
-                s -= L[i, k] * L[j, k]
-            if i > j:
-                L[i, j] = s / L[j, j]
-                continue
-            s += damping * H[i, i] + 1e-9
-            if not s > 0.0:
-                return -1.0
-            L[i, i] = np.sqrt(s)
-    for i in range(n):
-        step[i] = -b[i]
-        for k in range(i):
-            step[i] -= L[i, k] * step[k]
-        step[i] /= L[i, i]
-    for i in range(n - 1, -1, -1):
-        for k in range(i + 1, n):
-            step[i] -= L[k, i] * step[k]
-        step[i] /= L[i, i]
+    step = np.empty(12)
+    if not solve_damped(H, b, damping, step):
+        return -1.0
     norm: float = np.sqrt((step[:6] * step[:6]).sum())
     if not norm < np.inf:
         return -1.0

@@ -18,7 +18,7 @@ from stillroom.evaluation.timing import PROCESS_STATUS, peak_memory_mb
 from stillroom.pipeline import Source
 
 PEAK_RESET = Path("/proc/self/clear_refs")
-"""Where Linux lets a process begin to measure its peak of memory anew."""
+"""Where Linux lets a process begin to measure its peak of memory again."""
 PARENT_ASKED_EVERY_S = 1.0
 
 _SILENT = logging.NullHandler()
@@ -37,7 +37,7 @@ def perform(run: PlannedRun, memory_gb: float | None = None) -> Row:
     """
     with _one_at_a_time:
         logging.getLogger("stillroom").addHandler(_SILENT)  # lines of several workers would be mixed
-        _measure_peak_anew()
+        _measure_peak_again()
         start_s = time.perf_counter()
         trial, why = None, ""
         try:
@@ -141,7 +141,7 @@ def _status_bytes(name: str) -> int:
     return next(int(line.split()[1]) * 1024 for line in lines if line.startswith(f"{name}:"))
 
 
-def _measure_peak_anew() -> None:
+def _measure_peak_again() -> None:
     """Forget the peak of the runs before, where the system can."""
     try:
         PEAK_RESET.write_text("5", encoding="ascii")

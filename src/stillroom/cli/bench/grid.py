@@ -231,7 +231,7 @@ class GridBar:
         self._task = bars.add_task("runs", total=len(left))
 
     def row(self, row: Row) -> None:
-        """Tell of a finished run."""
+        """Print a finished run in one line."""
         run = self._left.pop(row.digest)
         self._frames_done += run.n_frames
         n_done, ahead = self._n - len(self._left), self._time_left()

@@ -118,6 +118,24 @@ def test_what_is_absent_is_not_run_and_says_why() -> None:
     assert runs.to_dict("room", None) == {"sequence": "room", "method": "dynaslam", "not_run": runs.why_not}
 
 
+@pytest.mark.parametrize("system", ["orb-slam2", "oc-slam-paper"])
+def test_runs_with_loops_stay_where_those_without_fail(system: str) -> None:
+    def measure(name: str, config: SlamConfig) -> Accuracy:
+        if not config.loops.enabled:
+            raise StillroomError("no memory")
+        return Accuracy("room", name, (trial_of(0.01, n_jumps=2),))
+
+    runs = run_system(system, configure(system), measure, both_loops=True)
+    assert runs.why_not == f"{system}, without loops: not run: no memory"
+    looped = runs.accuracy if runs.has_loops else runs.other
+    assert looped is not None
+    assert looped.ate_m is not None
+    assert runs.without_loops.accuracy is None
+    found = SequenceRuns(sequences_of(paper("oc-slam"), ["synthetic:walking"])[0], {system: runs})
+    shown = [row for table in tables_of(paper("oc-slam"), [found]) for row in table.rows if system in row[1]]
+    assert any(f"{looped.ate_m.median:.4f}" in row for row in shown)
+
+
 def test_the_table_has_the_errors_of_both_and_the_gains() -> None:
     oc = paper("oc-slam")
     asked = sequences_of(oc, ["rgbd_dataset_freiburg3_walking_xyz"])[0]

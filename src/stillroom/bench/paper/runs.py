@@ -45,21 +45,22 @@ class SystemRuns:
 
     @property
     def without_loops(self) -> "SystemRuns":
-        """The same without loop closing, as far as that was run."""
-        if not self.has_loops or self.other is None:
+        """The same without loop closing; as it is where that was not asked for."""
+        if not self.has_loops or (self.other is None and not self.why_not):
             return self
         return replace(self, accuracy=self.other, other=self.accuracy, has_loops=False)
 
     def to_dict(self, sequence: str, baseline: "SystemRuns | None") -> dict[str, Any]:
         """Return the figures for a JSON file."""
         if self.accuracy is None:
-            return {"sequence": sequence, "method": self.system, "not_run": self.why_not}
+            other = {} if self.other is None else {"with_loops_the_other_way": self.other.to_dict(self.other)}
+            return {"sequence": sequence, "method": self.system, "not_run": self.why_not} | other
         base = baseline.accuracy if baseline is not None and baseline.accuracy is not None else self.accuracy
         figures = self.accuracy.to_dict(base) | {"sequence": sequence}
         figures["loops_closed"] = [trial.n_loops for trial in self.accuracy.trials]
         figures["frame_wall_ms"] = [trial.frame_wall_ms for trial in self.accuracy.trials]
-        other = None if self.other is None else self.other.to_dict(base)
-        return figures | {"loops_enabled": self.has_loops, "with_loops_the_other_way": other}
+        also = None if self.other is None else self.other.to_dict(base)
+        return figures | {"loops_enabled": self.has_loops, "with_loops_the_other_way": also}
 
 
 @dataclass(frozen=True)
@@ -110,18 +111,26 @@ def run_system(name: str, config: SlamConfig, measure: Measure, both_loops: bool
         KeyboardInterrupt: The user stopped it.
     """
     own = config.loops.enabled
+    looped = replace(config, loops=replace(config.loops, enabled=True))
+    first, why_not = _tried(f"{name}, with loops" if both_loops else name, looped if both_loops else config, measure)
+    if first is None or not both_loops:
+        return SystemRuns(name, first, why_not, has_loops=own)
+    is_same = all(trial.n_jumps == 0 for trial in first.trials)
+    without: Accuracy | None = first
+    if not is_same:
+        unlooped = replace(config, loops=replace(config.loops, enabled=False))
+        without, why_not = _tried(f"{name}, without loops", unlooped, measure)
+    chosen, other = (first, without) if own else (without, first)
+    named = [None if each is None else replace(each, method=name) for each in (chosen, other)]
+    return SystemRuns(name, named[0], why_not, named[1], is_same, own)
+
+
+def _tried(name: str, config: SlamConfig, measure: Measure) -> tuple[Accuracy | None, str]:
+    """Return the runs of a config, or why there are none."""
     try:
-        if not both_loops:
-            return SystemRuns(name, measure(name, config), has_loops=own)
-        with_loops = measure(f"{name}, with loops", replace(config, loops=replace(config.loops, enabled=True)))
-        is_same = all(trial.n_jumps == 0 for trial in with_loops.trials)
-        without = with_loops
-        if not is_same:
-            without = measure(f"{name}, without loops", replace(config, loops=replace(config.loops, enabled=False)))
+        return measure(name, config), ""
     except StillroomError as error:
-        return SystemRuns(name, None, f"{name}: not run: {error}", has_loops=own)
-    chosen, other = (with_loops, without) if own else (without, with_loops)
-    return SystemRuns(name, replace(chosen, method=name), "", replace(other, method=name), is_same, own)
+        return None, f"{name}: not run: {error}"
 
 
 def write_trajectories(folder: Path, found: SequenceRuns) -> list[Path]:

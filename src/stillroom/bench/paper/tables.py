@@ -165,9 +165,9 @@ def _run_rows(paper: Paper, one: SequenceRuns) -> list[tuple[str, ...]]:
         printed = _printed(paper, system, one.asked.printed, 1)[0]
         if runs is None or runs.accuracy is None:
             rows.append((name, system, *[NOT_RUN] * 5, printed, *[NOT_RUN] * 3))
-            continue
-        rows.append((name, system, *_figures(base, runs.accuracy, printed, system == paper.baseline)))
-        if runs.other is not None:
+        else:
+            rows.append((name, system, *_figures(base, runs.accuracy, printed, system == paper.baseline)))
+        if runs is not None and runs.other is not None:
             label = f"{system}, loops {'off' if runs.has_loops else 'on'}"
             rows.append(("", label, *_figures(base, runs.other, NONE, False)))
     return rows

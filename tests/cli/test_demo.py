@@ -38,7 +38,7 @@ def check_files(result: Result, root: Path) -> None:
     named = [Path(line.strip()) for line in result.stdout.splitlines() if line.endswith(".png")]
     assert len(named) == len(set(named)) == 3 + 2 * 4
     assert all(path.is_file() for path in named)
-    for name in ("orb-slam2", "oc-slam"):
+    for name in ("orb-slam2", "stillroom"):
         (folder,) = root.glob(f"*_{name}_synthetic*")
         figures = json.loads((folder / "metrics.json").read_text())
         assert ate_m(result, name) == pytest.approx(figures["as_given"]["ate_se3_m"]["rmse"], abs=1e-4)
@@ -50,7 +50,7 @@ def test_it_needs_nothing_that_must_be_fetched(bare: None, tmp_path: Path) -> No
     assert result.exit_code == 0, result.output
     assert "static-pose baseline (a camera that never moved): 0." in result.stdout
     check_files(result, tmp_path / "results")
-    (folder,) = (tmp_path / "results").glob("*_oc-slam_*")
+    (folder,) = (tmp_path / "results").glob("*_stillroom_*")
     assert re.search(r'^kind = "yolo-fastest"', (folder / "config.toml").read_text(), re.MULTILINE)
 
 
@@ -59,7 +59,7 @@ def test_ctrl_c_ends_it(bare: None, monkeypatch: pytest.MonkeyPatch) -> None:
     result = invoke("--frames", "0:5")
     assert result.exit_code == 130
     assert "stopped; the results so far are in" in result.stderr
-    assert "oc-slam" not in result.stdout
+    assert "stillroom" not in result.stdout
 
 
 def check_promises(root: Path) -> None:
@@ -68,11 +68,11 @@ def check_promises(root: Path) -> None:
     assert result.exit_code == 0, result.output
     check_files(result, root)
     still_m = float(re.search(r"never moved\): ([0-9.]+) m", result.stdout)[1])
-    ours_m, baseline_m = ate_m(result, "oc-slam"), ate_m(result, "orb-slam2")
+    ours_m, baseline_m = ate_m(result, "stillroom"), ate_m(result, "orb-slam2")
     assert ours_m <= 0.02
     assert ours_m <= baseline_m / 3
     assert ours_m <= still_m / 3
-    assert next(line for line in result.stdout.splitlines() if "oc-slam " in line).count("100.0 %") == 1
+    assert next(line for line in result.stdout.splitlines() if "stillroom " in line).count("100.0 %") == 1
 
 
 @pytest.mark.slow

@@ -13,7 +13,7 @@ MAX_GAP_S = 0.02
 
 Method = Annotated[
     str | None,
-    typer.Option("--method", "-m", metavar="NAME", help="The method; see 'stillroom methods'. \\[default: oc-slam]"),
+    typer.Option("--method", "-m", metavar="NAME", help="The method; see 'stillroom methods'. \\[default: stillroom]"),
 ]
 ConfigFile = Annotated[
     Path | None,

@@ -19,7 +19,7 @@ from stillroom.protocols import Dataset
 from stillroom.stopping import INTERRUPTED
 
 ROOM = "synthetic:walking"
-BASELINE, METHOD = "orb-slam2", "oc-slam"
+BASELINE, METHOD = "orb-slam2", "stillroom"
 N_PICTURES = 4
 HEADER = ("method", "ATE [m]", "of static-pose ATE", "frames tracked", "improvement")
 
@@ -32,7 +32,7 @@ def demo(
         str | None, typer.Option(metavar="A:B", help="Use these of the room's 270 frames only, for a shorter demo.")
     ] = None,
 ) -> None:
-    """Track a camera through a rendered room with people in it, by orb-slam2 and by oc-slam, and compare the two.
+    """Track a camera through a rendered room with people in it, by orb-slam2 and by stillroom, and compare the two.
 
     Needs no data. The first time it also compiles the kernels, which takes a minute or two.
     """

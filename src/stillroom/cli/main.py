@@ -52,7 +52,7 @@ COMMANDS = (
     Command(
         "demo",
         "stillroom.cli.demo:demo",
-        "Track a camera through a rendered room with people in it, by orb-slam2 and by oc-slam, and compare the two.",
+        "Track a camera through a rendered room with people in it, by orb-slam2 and by stillroom, and compare the two.",
     ),
     Command("run", "stillroom.cli.run:run", "Track the camera through a sequence."),
     Command("record", "stillroom.cli.record:record", "Keep what a camera sees as a sequence."),

@@ -52,7 +52,7 @@ OWN = (
     sof_slam.METHOD,
     zhang_slam.METHOD,
 )
-DEFAULT = oc_slam.METHOD.name
+DEFAULT = stillroom.METHOD.name
 
 
 def all_methods() -> dict[str, Method]:

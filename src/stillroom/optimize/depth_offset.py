@@ -32,7 +32,7 @@ BENT_PX = 0.25
 """RMS distance of disparities [px] from their plane at which it is none: an edge, or a thing that is not flat."""
 LEAST_SIGMA_PX = 0.15
 """Of a disparity on its plane: sensors know it better, but not free of bumps."""
-BLOCK_FRAMES = 30
+BLOCK_FRAMES = 15
 """Frames that see one and the same b."""
 
 

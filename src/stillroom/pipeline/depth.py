@@ -40,7 +40,7 @@ CLOSE_S = 0.0005
 UNSETTLED_S = 3e-3
 """An offset that the last run has changed by more than this is none."""
 MOST_RUNS = 4
-LEAST_FRAMES = 60
+LEAST_FRAMES = 30
 LEAST_SPEED_PX_S = 30.0
 """Of images 640 pixels long."""
 MOST_SIGMA_S = 0.005

@@ -64,17 +64,17 @@ def depth_then(px: F32, depth_m: F32, image_m: F32, after_s: float, velocity: F6
     return found_m
 
 
-def with_depth_in_time(frame: Frame, velocity: F64 | None) -> Frame:
+def with_depth_in_time(frame: Frame, after_s: float, velocity: F64) -> Frame:
     """Return a frame whose keypoints have the depth of its own time; as it is where nothing is to be corrected.
 
     Args:
         frame: The frame, its keypoints at mid-frame.
-        velocity: Of the camera (6,) [m/s, rad/s]; None where it is not known.
+        after_s: How long after it depth was taken [s].
+        velocity: Of the camera (6,) [m/s, rad/s]; 0 where it is not known.
     """
-    kp, camera = frame.keypoints, frame.camera
-    if camera.depth_offset_s == 0.0 or velocity is None or not velocity.any():
+    if after_s == 0.0 or not velocity.any():
         return frame
-    after_s = frame.image.depth_after_s
+    kp, camera = frame.keypoints, frame.camera
     depth_m = depth_then(kp.px, kp.depth_m, frame.image.depth_m, after_s, velocity, camera.lens)
     right_px = camera.right_coordinate(kp.px[:, 0], depth_m)
     return replace(frame, keypoints=replace(kp, depth_m=depth_m, right_px=right_px))

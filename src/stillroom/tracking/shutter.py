@@ -116,11 +116,18 @@ class DepthNoiseConfig:
             with `right_sigma` as the least (`optimize.depth_terms`).
         max_turn_rad_s: While the camera turns faster, or nobody knows how fast, depth counts as in ORB-SLAM2: it lags
             behind colour.
+        in_time: Whether keypoints get the depth of their own image's time where depth was taken at another, by the
+            stamps of both (`tracking.depth_clock`). Where the camera has a `depth_offset_s`, they do in any case.
     """
 
     right_sigma: float = bounded(1.0, above=0)
     model: str = bounded(RIGHT, one_of=MODELS)
     max_turn_rad_s: float = bounded(0.5, above=0)
+    in_time: bool = False
+
+    def after_s(self, frame: Frame) -> float:
+        """Return how long after a frame its depth was taken [s], where that is to be corrected; else 0."""
+        return frame.image.depth_after_s if self.in_time or frame.camera.depth_offset_s != 0.0 else 0.0
 
     def terms(self, turn_rad_s: float, camera: Camera) -> DepthTerms:
         """Return how much depth counts while a camera turns [rad/s]."""

@@ -1,6 +1,5 @@
 """The three stages of ORB-SLAM2's tracking, with the match sieve called at each."""
 
-import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -212,7 +211,7 @@ class Tracker:
         if fix is None and last is not None:
             fix = self._with_reference_keyframe(frame, last, semantics, world)
             if fix is not None:
-                frame = with_depth_in_time(frame, self._velocity_to(fix.T_cam_world, frame, world))
+                frame = self._with_depth_in_time(frame, fix.T_cam_world, world)
         if fix is None or last is None:
             return _lost(frame, self._reference)
         frame = self._pose.at_mid_frame(frame, fix.velocity)
@@ -332,11 +331,13 @@ class Tracker:
     def _in_time(self, frame: Frame, guess: F64, world: Map) -> Frame:
         """Return a frame with its keypoints where, and at the depth that, they are expected to have at mid-frame."""
         moved = self._pose.at_mid_frame(frame, self._pose.expected(guess, self._before(frame, world)))
-        return with_depth_in_time(moved, self._velocity_to(guess, frame, world))
+        return self._with_depth_in_time(moved, guess, world)
 
-    def _velocity_to(self, T_cam_world: F64, frame: Frame, world: Map) -> F64 | None:
-        """Return the velocity (6,) that leads to a pose (4, 4) of the frame; None where depth needs none."""
-        return expected_velocity(T_cam_world, self._before(frame, world)) if frame.camera.depth_offset_s else None
+    def _with_depth_in_time(self, frame: Frame, T_cam_world: F64, world: Map) -> Frame:
+        after_s = self.config.depth.after_s(frame)
+        if after_s == 0.0:
+            return frame
+        return with_depth_in_time(frame, after_s, expected_velocity(T_cam_world, self._before(frame, world)))
 
     def _before(self, frame: Frame, world: Map) -> Before | None:
         """Return the frame before this one, as known now."""
@@ -369,7 +370,7 @@ class Tracker:
         if len(matches) < self.config.min_keyframe_matches:
             return None
         # The guess is the last pose, which says nothing of how fast the camera turns.
-        fix = self._fix(frame, guess, matches, motion, world, turn=math.inf)
+        fix = self._fix(frame, guess, matches, motion, world, tells_turn=False)
         return fix if fix.n_inliers >= self.config.min_coarse_inliers else None
 
     def _with_local_map(
@@ -410,26 +411,10 @@ class Tracker:
         return self._frames_since_recovery < 30
 
     def _fix(
-        self,
-        frame: Frame,
-        guess: F64,
-        matches: Matches,
-        motion: Motion,
-        world: Map,
-        turn: float | None = None,
+        self, frame: Frame, guess: F64, matches: Matches, motion: Motion, world: Map, *, tells_turn: bool = True
     ) -> _Fix:
-        """Optimise the pose over the matches and return it with its inliers.
-
-        Args:
-            frame: The frame.
-            guess: Where to start.
-            matches: Its pairs with map points.
-            motion: What the sieve says of them.
-            world: The map.
-            turn: How fast the camera turns [rad/s]; as the guess says where not given.
-        """
-        if turn is None:
-            turn = turn_rad_s(guess, self._before(frame, world))
+        """Optimise the pose over the matches and return it with its inliers; the guess may tell how fast it turns."""
+        turn = turn_rad_s(guess, self._before(frame, world) if tells_turn else None)
         depth = self.config.depth.terms(turn, frame.camera)
         fitted = self._pose.fit(frame, guess, matches, world, motion.p_static, depth)
         point_ids = np.full(len(frame), -1, dtype=np.int32)

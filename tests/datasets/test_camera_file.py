@@ -206,7 +206,10 @@ def test_what_measures_depth_its_scale_and_its_clock_are_written_and_read_back(t
 @pytest.mark.parametrize(
     ("line", "said"),
     [
-        ('depth_noise = "sonar"', "depth_noise is 'sonar'; it must be one of unknown, structured-light, time-of-flight"),
+        (
+            'depth_noise = "sonar"',
+            "depth_noise is 'sonar'; it must be one of unknown, structured-light, time-of-flight",
+        ),
         ("depth_noise = 3", "'depth_noise' is 3; it must be one of unknown"),
         ("depth_scale = 0.0", "depth_scale is 0.0; it must be positive"),
         ("depth_scale = nan", "depth_scale is nan"),

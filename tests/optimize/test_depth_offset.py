@@ -61,7 +61,9 @@ def seen_of(
     return DepthSeen(time_s, known_s, world, px, np.ones(len(px)), planes)
 
 
-def offset(true_s: float, known_s: float = 0.0, apart: F64 | None = None, seed: int = 0, gaps_s: float = 0.0) -> ClockOffset:
+def offset(
+    true_s: float, known_s: float = 0.0, apart: F64 | None = None, seed: int = 0, gaps_s: float = 0.0
+) -> ClockOffset:
     """What frames agree on, whose stamps are off by `true_s - known_s` and have gaps of their own."""
     rng = np.random.default_rng(seed)
     times_s = np.arange(N_FRAMES) / RATE_HZ
@@ -70,7 +72,9 @@ def offset(true_s: float, known_s: float = 0.0, apart: F64 | None = None, seed: 
     nothing = np.zeros(6)
     for i, time_s in enumerate(times_s):
         gap_s = gaps_s * rng.uniform(-1, 1)
-        seen = seen_of(float(time_s), true_s + gap_s, known_s + gap_s, nothing if apart is None else apart, rng, 0.4, 0.05)
+        seen = seen_of(
+            float(time_s), true_s + gap_s, known_s + gap_s, nothing if apart is None else apart, rng, 0.4, 0.05
+        )
         if np.isfinite(velocity[i]).all():
             found.append(of_frame(seen, se3.inverse(T[i]), velocity[i], CAMERA))
     assert all(one is not None for one in found)
@@ -143,7 +147,9 @@ def test_planes_are_those_of_least_squares_and_edges_are_none() -> None:
         u, v = np.rint(at).astype(int)
         window = (slice(v - 3, v + 4), slice(u - 3, u + 4))
         z = image[window].astype(np.float64)
-        A = np.column_stack((np.ones(z.size), columns[window].ravel() - at[0], rows[window].ravel() - at[1]))[z.ravel() > 0]
+        A = np.column_stack((np.ones(z.size), columns[window].ravel() - at[0], rows[window].ravel() - at[1]))[
+            z.ravel() > 0
+        ]
         d = CAMERA.bf / z[z > 0]
         if len(d) < 0.7 * 49:
             assert plane[3] == 0.0
@@ -158,5 +164,3 @@ def test_planes_are_those_of_least_squares_and_edges_are_none() -> None:
         np.testing.assert_allclose(plane[1:3], turned @ found[1:], atol=1e-9)
     assert n_known > 100
     assert (disparity_planes(np.array([[1.0, 240.0]]), image, CAMERA.lens, CAMERA.bf, 3) == 0.0).all()
-
-

@@ -32,7 +32,9 @@ def test_depth_that_is_stamped_late_is_that_of_earlier() -> None:
 
 
 def test_the_noise_of_the_sensor_is_that_of_what_it_reads() -> None:
-    far, sound = (open_synthetic(f"synthetic:empty,frames=1,cache=off{more}").load(0) for more in (",depth_scale=1.1", ""))
+    far, sound = (
+        open_synthetic(f"synthetic:empty,frames=1,cache=off{more}").load(0) for more in (",depth_scale=1.1", "")
+    )
     both = (far.depth_m > 0) & (sound.depth_m > 0)
     assert np.median(far.depth_m[both] / sound.depth_m[both]) == pytest.approx(1.1, abs=0.002)
 

@@ -20,7 +20,9 @@ app = typer.Typer(no_args_is_help=True, help="Estimate what a camera file needs 
 
 Method = Annotated[
     str | None,
-    typer.Option("--method", "-m", metavar="NAME", help="What tracks; oc-slam where people walk. \\[default: orb-slam2]"),
+    typer.Option(
+        "--method", "-m", metavar="NAME", help="What tracks; oc-slam where people walk. \\[default: orb-slam2]"
+    ),
 ]
 Recorded = Annotated[str, typer.Argument(metavar="SEQUENCE", help="The recording, as for run.")]
 

@@ -67,7 +67,9 @@ def read_camera(path: Path) -> Camera:
     bf = _number(path, values, "bf") if "bf" in values else fx * _baseline_m(path, values)
     read_range(path)
     depth_factor, distortion = _number(path, values, "depth_factor"), _distortion(path, values)
-    numbers = {key: _number(path, values, key) for key in ("readout_s", "depth_scale", "depth_offset_s") if key in values}
+    numbers = {
+        key: _number(path, values, key) for key in ("readout_s", "depth_scale", "depth_offset_s") if key in values
+    }
     try:
         return Camera(
             width, height, fx, fy, cx, cy, distortion, depth_factor, bf, depth_noise=_sensor(path, values), **numbers
@@ -208,7 +210,9 @@ NAMED_CAMERAS: dict[str, Camera] = {
         distortion=(0.231222, -0.784899, -0.003257, -0.000105, 0.917205),
         depth_noise=STRUCTURED_LIGHT,
     ),
-    "tum-freiburg3": Camera(width=640, height=480, fx=535.4, fy=539.2, cx=320.1, cy=247.6, depth_noise=STRUCTURED_LIGHT),
+    "tum-freiburg3": Camera(
+        width=640, height=480, fx=535.4, fy=539.2, cx=320.1, cy=247.6, depth_noise=STRUCTURED_LIGHT
+    ),
 }
 
 ALIASES: dict[str, str] = {
@@ -281,7 +285,9 @@ def _with_known_sensor(path: Path, recognised: str | None) -> tuple[Camera, str]
         camera = replace(camera, depth_noise=known.depth_noise)
     if "readout_s" in given or known.readout_s == 0.0:
         return camera, source
-    return replace(camera, readout_s=known.readout_s), f"{source}; readout of {1e3 * known.readout_s:.0f} ms as of '{name}'"
+    return replace(
+        camera, readout_s=known.readout_s
+    ), f"{source}; readout of {1e3 * known.readout_s:.0f} ms as of '{name}'"
 
 
 def choose_range(folder: Path, option: str | None) -> float:

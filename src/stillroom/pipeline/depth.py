@@ -1,7 +1,7 @@
 """The calibration of a depth camera against the colour camera: its scale, and the offset of its clock.
 
 Images tell the offset: depth fits the map where the camera was when depth was taken. They do not tell the scale, for a
-room twice as large, seen from twice as far, looks the same; only a path of known length does (`evaluation/scale.py`).
+room twice as large, seen from twice as far, looks the same; only poses that are known in metres do.
 """
 
 from dataclasses import dataclass, replace
@@ -16,8 +16,9 @@ from stillroom.data.trajectory import Trajectory
 from stillroom.datasets.recording import DatasetView
 from stillroom.dense.no_dense_map import NoDenseMapConfig
 from stillroom.errors import CalibrationError, TrajectoryError
-from stillroom.evaluation.scale import PathScale, path_scale
+from stillroom.evaluation.time_matching import interpolated
 from stillroom.geometry import se3
+from stillroom.geometry.align import align
 from stillroom.geometry.arrays import I32
 from stillroom.geometry.camera import Camera
 from stillroom.optimize.depth_offset import (
@@ -28,6 +29,7 @@ from stillroom.optimize.depth_offset import (
     disparity_planes,
     of_frame,
 )
+from stillroom.optimize.depth_scale import DepthScale, PointsSeen, depth_scale
 from stillroom.optimize.readout import velocities
 from stillroom.optimize.trajectory_prior import TrajectoryPriorConfig
 from stillroom.pipeline.options import RunOptions
@@ -44,8 +46,6 @@ LEAST_FRAMES = 30
 LEAST_SPEED_PX_S = 30.0
 """Of images 640 pixels long."""
 MOST_SIGMA_S = 0.005
-LEAST_MOVED_M = 0.02
-"""Within a second, RMS: noise of poses would be more than a hundredth of less."""
 MOST_SIGMA_SCALE = 0.01
 
 
@@ -56,13 +56,13 @@ class DepthCalibration:
     Attributes:
         camera: The calibration in force, with which it was read.
         offset: Of the clock, beside what is in force; None where the recording does not tell.
-        scale: Of the path, as depth in force has it; None where nothing tells.
+        scale: Of depth in force; None where nothing tells.
         untold: Why what is None is not known, in words.
     """
 
     camera: Camera
     offset: ClockOffset | None
-    scale: PathScale | None
+    scale: DepthScale | None
     untold: tuple[str, ...] = ()
 
     @property
@@ -93,8 +93,7 @@ class DepthCalibration:
             percent = 100.0 * (self.scale.scale - 1.0)
             said.append(
                 f"depth reads {abs(percent):.2f} ± {100.0 * self.scale.sigma:.2f} % too {'far' if percent > 0 else 'near'} "
-                f"(one standard deviation), from a path known by the ground truth, {self.scale.moved_m:.2f} m (RMS) "
-                "within a second"
+                f"(one standard deviation), from {self.scale.n_points} points triangulated from the ground truth's poses"
             )
             if self.is_to_scale:
                 said.append("the scale in force explains this recording as well")
@@ -130,7 +129,8 @@ def calibrate_depth(dataset: Dataset, config: SlamConfig, progress: RunProgress 
     )
     before_s, used_s, runs = 0.0, 0.0, list[ClockOffset]()
     for _ in range(MOST_RUNS):
-        trajectory, found = _said_by_run(WithDepthClock(dataset, used_s), config, progress)
+        said = _said_by_run(WithDepthClock(dataset, used_s), config, progress)
+        found = said.offset(config.seed)
         runs.append(replace(found, after_s=used_s + found.after_s))
         before_s, used_s = used_s, runs[-1].after_s
         if abs(used_s - before_s) < CLOSE_S or _why_not_told(dataset, runs[-1]):
@@ -138,7 +138,7 @@ def calibrate_depth(dataset: Dataset, config: SlamConfig, progress: RunProgress 
     why_no_offset = _why_not_told(dataset, runs[-1])
     if not why_no_offset and abs(used_s - before_s) > max(UNSETTLED_S, 3.0 * runs[-1].sigma_s):
         why_no_offset = f"none stays the same from run to run: {1e3 * before_s:.1f} ms, then {1e3 * used_s:.1f}"
-    scale, why_no_scale = _scale_of(dataset, trajectory, config.seed)
+    scale, why_no_scale = _scale_of(dataset, said)
     untold = []
     if why_no_scale:
         untold.append(f"the scale of depth is not told ({why_no_scale})")
@@ -179,6 +179,7 @@ class _Depths:
         """Observe a run of a system."""
         self._system = system
         self._seen: list[tuple[DepthSeen, I32]] = []
+        self.point_ids: list[I32] = []
 
     def on_frame(self, tracked: Tracked, semantics: Semantics, result: FrameResult) -> None:
         """Keep the keypoints that see a point."""
@@ -202,18 +203,87 @@ class _Depths:
     def against_the_map(self) -> list[DepthSeen]:
         """Return what was seen, with the points as the map has them now."""
         world, result = self._system.map, []
+        self.point_ids = []
         for seen, point_ids in self._seen:
             ids = world.current_ids(point_ids)
             known = ids >= 0
+            self.point_ids.append(ids[known])
             points_m = world.points.position_m[ids[known]].astype(np.float64)
             parts = seen.px[known], seen.inverse_variances[known], seen.planes[known]
             result.append(DepthSeen(seen.time_s, seen.after_s, points_m, *parts))
         return result
 
 
-def _said_by_run(
-    dataset: WithDepthClock, config: SlamConfig, progress: RunProgress
-) -> tuple[Trajectory, ClockOffset]:
+@dataclass(frozen=True)
+class _Said:
+    """What a run saw.
+
+    Attributes:
+        dataset: What it ran on.
+        trajectory: Its poses.
+        seen: What each frame saw, with the points as the finished map has them.
+        point_ids: Which points they are.
+    """
+
+    dataset: Dataset
+    trajectory: Trajectory
+    seen: list[DepthSeen]
+    point_ids: list[I32]
+
+    def offset(self, seed: int) -> ClockOffset:
+        """Return what frames agree on, beside the offset in force.
+
+        Raises:
+            CalibrationError: Too few of them tell.
+        """
+        times_s, poses = self.trajectory.timestamps_s, self.trajectory.T_world_cam
+        place = {float(time_s): i for i, time_s in enumerate(times_s)}
+        T_cam_world, velocity, said = se3.inverse(poses), velocities(times_s, poses), []
+        for seen in self.seen:
+            i = place.get(seen.time_s, -1)
+            if i < 0 or not np.isfinite(velocity[i]).all():
+                continue
+            frame = of_frame(seen, T_cam_world[i], velocity[i], self.dataset.camera)
+            if frame is not None:
+                said.append(frame)
+        if len(said) < LEAST_FRAMES:
+            raise CalibrationError(
+                f"{self.dataset.name}: only {len(said)} frames tell of depth, {LEAST_FRAMES} are needed; give a longer "
+                "recording, or see why tracking is lost"
+            )
+        return agreed_offset(said, seed)
+
+    def scale(self, truth: Trajectory) -> DepthScale | None:
+        """Return the scale of depth, by the true poses of the camera.
+
+        Raises:
+            TrajectoryError: They do not reach the images.
+        """
+        true = interpolated(truth, np.array([seen.time_s for seen in self.seen]))
+        place = {float(time_s): i for i, time_s in enumerate(true.timestamps_s)}
+        velocity = velocities(true.timestamps_s, true.T_world_cam)
+        found = self.trajectory.positions_m[np.isin(self.trajectory.timestamps_s, true.timestamps_s)]
+        rigid = align(found, true.positions_m, with_scale=False)
+        chosen = [(seen, ids, place[seen.time_s]) for seen, ids in zip(self.seen, self.point_ids, strict=True)
+                  if seen.time_s in place and np.isfinite(velocity[place[seen.time_s]]).all()]  # fmt: skip
+        if not chosen:
+            return None
+        frames = np.array([i for _, _, i in chosen])
+        ids, point = np.unique(np.concatenate([ids for _, ids, _ in chosen]), return_inverse=True)
+        points_m = np.zeros((len(ids), 3))
+        points_m[point] = rigid.points(np.concatenate([seen.points_world_m for seen, _, _ in chosen]))
+        parts = PointsSeen(
+            np.repeat(np.arange(len(chosen)), [len(one) for _, one, _ in chosen]),
+            point.astype(np.int64),
+            *(np.concatenate([seen[k] for seen, _, _ in chosen]) for k in (3, 4, 5)),
+            se3.inverse(true.T_world_cam[frames]),
+            velocity[frames],
+            np.array([seen.after_s for seen, _, _ in chosen]),
+        )
+        return depth_scale(parts, points_m, self.dataset.camera)
+
+
+def _said_by_run(dataset: WithDepthClock, config: SlamConfig, progress: RunProgress) -> _Said:
     observers: list[_Depths] = []
 
     def observe(system: System) -> _Depths:
@@ -223,23 +293,8 @@ def _said_by_run(
     outcome = run(dataset, config, RunOptions(root=None, pictures=0, observe=observe), progress)
     if outcome.interrupted:
         raise KeyboardInterrupt
-    trajectory = outcome.system.trajectory()
-    place = {float(time_s): i for i, time_s in enumerate(trajectory.timestamps_s)}
-    T_cam_world = se3.inverse(trajectory.T_world_cam)
-    velocity, said = velocities(trajectory.timestamps_s, trajectory.T_world_cam), []
-    for seen in observers[0].against_the_map():
-        i = place.get(seen.time_s, -1)
-        if i < 0 or not np.isfinite(velocity[i]).all():
-            continue
-        frame = of_frame(seen, T_cam_world[i], velocity[i], dataset.camera)
-        if frame is not None:
-            said.append(frame)
-    if len(said) < LEAST_FRAMES:
-        raise CalibrationError(
-            f"{dataset.name}: only {len(said)} frames tell of depth, {LEAST_FRAMES} are needed; give a longer "
-            "recording, or see why tracking is lost"
-        )
-    return trajectory, agreed_offset(said, config.seed)
+    seen = observers[0].against_the_map()
+    return _Said(dataset, outcome.system.trajectory(), seen, observers[0].point_ids)
 
 
 def _why_not_told(dataset: Dataset, found: ClockOffset) -> str:
@@ -252,19 +307,17 @@ def _why_not_told(dataset: Dataset, found: ClockOffset) -> str:
     return ""
 
 
-def _scale_of(dataset: Dataset, trajectory: Trajectory, seed: int) -> tuple[PathScale | None, str]:
-    """Return the scale of a path, and why there is none."""
+def _scale_of(dataset: Dataset, said: _Said) -> tuple[DepthScale | None, str]:
+    """Return the scale of depth, and why there is none."""
     truth = dataset.groundtruth_at_camera or dataset.groundtruth
     if truth is None:
         return None, "images do not show it, and there is no ground truth, which does"
     try:
-        found = path_scale(trajectory, truth, seed)
+        found = said.scale(truth)
     except TrajectoryError as error:
         return None, str(error)
     if found is None:
-        return None, "too few poses have ground truth around them"
-    if found.moved_m < LEAST_MOVED_M:
-        return None, f"the camera moves by {found.moved_m:.3f} m within a second, {LEAST_MOVED_M} are needed"
+        return None, "too few points are seen from places far enough from each other"
     if found.sigma > MOST_SIGMA_SCALE:
         return None, f"depth would read {found.scale:.3f} ± {found.sigma:.3f} of the truth"
     return found, ""

@@ -270,8 +270,7 @@ def choose_camera(folder: Path, sequence_name: str, option: str | None) -> tuple
 
 
 def _with_known_sensor(path: Path, recognised: str | None) -> tuple[Camera, str]:
-    """Return a sequence's own camera; what it does not say of its shutter and of what measures depth is that of the
-    camera of the data set's name.
+    """Return a sequence's own camera; what it does not say of its sensors is that of the data set's named one.
 
     Raises:
         CalibrationError: The file cannot be read.

@@ -1,11 +1,11 @@
 """The offset of the clocks of colour and depth: whether depth fits where the camera was when it was taken.
 
-Keypoints say where the camera was when the colour image was taken, T. A point x of the camera there is at exp(τ ν + b) x
-when depth is taken, τ later, with the camera's velocity ν. There the depth image should show its depth: it is looked up
-around the keypoint, on the plane that inverse depth has in a few pixels (inverse depth of a plane is linear in the
-image). The twist b is what else keeps depth from colour, and stays the same for many frames: the depth camera does not
-sit quite where it is registered to, and the map itself was made of depth that was taken too late. τ is what is common
-to all frames while the velocity changes, as the readout is in `optimize/readout.py`.
+Keypoints say where the camera was when the colour image was taken, T. A point x of the camera there is at
+exp(τ ν + b) x when depth is taken, τ later, with the camera's velocity ν. There the depth image should show its depth:
+it is looked up around the keypoint, on the plane that inverse depth has in a few pixels (inverse depth of a plane is
+linear in the image). The twist b is what else keeps depth from colour, and stays the same for many frames: the depth
+camera does not sit quite where it is registered to, and the map itself was made of depth that was taken too late. τ is
+what is common to all frames while the velocity changes, as the readout is in `optimize/readout.py`.
 """
 
 from dataclasses import dataclass
@@ -143,7 +143,7 @@ class _Equations(NamedTuple):
 
 
 def of_frame(seen: DepthSeen, T_cam_world: F64, velocity: F64, camera: Camera) -> FrameEvidence | None:
-    """Return what one frame says of τ [s], counted from `seen.after_s`, and of b, whatever its pose; None for too little.
+    """Return what one frame says of τ [s], beside `seen.after_s`, and of b, whatever its pose; None for too little.
 
     Args:
         seen: What it saw.

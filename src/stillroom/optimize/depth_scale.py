@@ -2,8 +2,8 @@
 
 Images and depth alone never tell it: a room twice as large, from twice as far, gives the same images, and depth that
 reads twice as far agrees with them. Poses of the camera that are known in metres do. What the frames see of each point
-of the map, its image coordinates alone, then says how far it is; measured depth is compared with that, in inverse depth,
-of which both know the noise is even.
+of the map, its image coordinates alone, then says how far it is; measured depth is compared with that in inverse depth,
+where the noise of both is even.
 """
 
 from dataclasses import dataclass
@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from stillroom.geometry import se3, twists
-from stillroom.geometry.arrays import F64, I64
+from stillroom.geometry import twists
+from stillroom.geometry.arrays import F64, I64, Bool
 from stillroom.geometry.camera import Camera
 from stillroom.optimize.observations import MIN_DEPTH_M
 from stillroom.optimize.readout import HUBER
@@ -90,7 +90,7 @@ def depth_scale(seen: PointsSeen, points_world_m: F64, camera: Camera) -> DepthS
 
 
 def triangulated(seen: PointsSeen, points_world_m: F64, camera: Camera) -> tuple[F64, F64]:
-    """Return points (P, 3) [m] and their information (P, 3, 3) [1/m²] from image coordinates alone, with Huber's kernel.
+    """Return points (P, 3) [m] and their information (P, 3, 3) [1/m²] from image coordinates alone, robustly.
 
     Arguments are those of `depth_scale`; points that are not determined come out anywhere, with little information.
     """
@@ -144,13 +144,19 @@ def _compared(seen: PointsSeen, points_world_m: F64, camera: Camera) -> tuple[fl
     return scale, n_points
 
 
-def _only(seen: PointsSeen, chosen: np.ndarray) -> PointsSeen:
-    per_frame = seen.T_cam_world, seen.velocity, seen.after_s
-    return PointsSeen(*(part[chosen] for part in seen[:5]), *per_frame)
+def _only(seen: PointsSeen, chosen: Bool) -> PointsSeen:
+    return seen._replace(
+        frame=seen.frame[chosen],
+        point=seen.point[chosen],
+        px=seen.px[chosen],
+        inverse_variances=seen.inverse_variances[chosen],
+        planes=seen.planes[chosen],
+    )
 
 
 def _summed(index: I64, parts: F64, n: int) -> F64:
     """Return the sums (n, …) of parts (O, …) by their index (O,)."""
     flat = parts.reshape(len(parts), -1)
     sums = [np.bincount(index, flat[:, k], minlength=n) for k in range(flat.shape[1])]
-    return np.stack(sums, axis=1).reshape(n, *parts.shape[1:])
+    total: F64 = np.stack(sums, axis=1).reshape(n, *parts.shape[1:])
+    return total

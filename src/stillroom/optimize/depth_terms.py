@@ -6,7 +6,6 @@ level on which a keypoint was found, and an error of u is none of it. So where t
 is −bf/z alone, with the deviation bf σ(z)/z² (docs/reference.md#noise-of-depth).
 """
 
-import os
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -70,9 +69,7 @@ class MeasuredDepth:
         sensor_px = self._noise.sigma_m(depth_m) * disparity_px / depth_m
         observed, weighted = observed_px.copy(), weights.copy()
         observed[:, 2] = -disparity_px
-        floor = float(os.environ.get("DN_FLOOR", "0"))
-        mult = float(os.environ.get("DN_MULT", "1"))
-        variance = (mult * sensor_px) ** 2 + floor**2 + self._least**2 / weights[:, 0]
+        variance = sensor_px**2 + self._least**2 / weights[:, 0]
         weighted[:, 2] = np.where(is_known, 1.0 / variance, 0.0)
         return Terms(observed, weighted, intrinsics_of(camera, share_of_u=0.0))
 

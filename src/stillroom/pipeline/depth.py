@@ -90,10 +90,10 @@ class DepthCalibration:
         """Return what was found, in words."""
         said = []
         if self.scale is not None:
-            percent = 100.0 * (self.scale.scale - 1.0)
+            percent, way = 100.0 * (self.scale.scale - 1.0), "far" if self.scale.scale > 1.0 else "near"
             said.append(
-                f"depth reads {abs(percent):.2f} ± {100.0 * self.scale.sigma:.2f} % too {'far' if percent > 0 else 'near'} "
-                f"(one standard deviation), from {self.scale.n_points} points triangulated from the ground truth's poses"
+                f"depth reads {abs(percent):.2f} ± {100.0 * self.scale.sigma:.2f} % too {way} (one standard "
+                f"deviation), from {self.scale.n_points} points triangulated from the ground truth's poses"
             )
             if self.is_to_scale:
                 said.append("the scale in force explains this recording as well")

@@ -202,7 +202,7 @@ def terms_of(frame: Frame, matches: Matches, depth: DepthTerms) -> Terms:
 
 
 def turn_rad_s(guess: F64, before: Before | None) -> float:
-    """Return how fast the camera turns from the frame before to a guess (4, 4) [rad/s]; infinite where none is known."""
+    """Return how fast the camera turns from the frame before to a guess (4, 4) [rad/s]; infinite where unknown."""
     if before is None or not before.ago_s > 0.0:
         return float("inf")
     return float(se3.angle_rad(guess @ before.T_world_cam)) / before.ago_s

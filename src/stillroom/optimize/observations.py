@@ -4,8 +4,8 @@ An observation is (u, v, u_right) [px] with u_right = u − bf/z; a weight of ze
 depth counts by the noise of its sensor (`optimize/depth_terms.py`) the third coordinate is −bf/z alone: u is no part of
 it then, nor an error of u of what depth tells. The error is predicted minus observed. A camera moves on the left,
 T ← exp(ξ) T with ξ = (ρ [m], φ [rad]), so a point x of the camera frame changes by ρ − [x]× φ, and both camera and
-point Jacobians contain the same 3×3 derivative of the projection. The kernels are scalars in, scalars out: numba inlines
-them into the loops that call them.
+point Jacobians contain the same 3×3 derivative of the projection. The kernels are scalars in, scalars out: numba
+inlines them into the loops that call them.
 """
 
 import math

@@ -25,6 +25,8 @@ MOST_SIGMA = 0.05
 LEAST_POINTS = 50
 DEPTH_SIGMA = 0.01
 """Of one measured depth, as a share of it, bumps included."""
+LEAST_SIGMA = 0.002
+"""Of the scale: what it is off by on rendered rooms, where all else says that it is known ten times as well."""
 PARTS = 8
 """Stretches of time, each left out once to say how certain the scale is."""
 
@@ -58,7 +60,7 @@ class DepthScale:
 
     Attributes:
         scale: Measured depth as a share of the true one.
-        sigma: One standard deviation of it, by leaving out a stretch of time after the other.
+        sigma: One standard deviation of it, by leaving out a stretch of time after the other; 0.002 at least.
         n_points: Points that it is from.
     """
 
@@ -86,7 +88,7 @@ def depth_scale(seen: PointsSeen, points_world_m: F64, camera: Camera) -> DepthS
     if len(told) < PARTS:
         return None
     sigma = float(np.sqrt((PARTS - 1) / PARTS * ((told - told.mean()) ** 2).sum()))
-    return DepthScale(scale, sigma, n_points)
+    return DepthScale(scale, max(sigma, LEAST_SIGMA), n_points)
 
 
 def triangulated(seen: PointsSeen, points_world_m: F64, camera: Camera) -> tuple[F64, F64]:

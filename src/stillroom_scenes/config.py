@@ -11,7 +11,7 @@ from stillroom.geometry.camera import LONGEST_READOUT_S
 from stillroom_scenes import PREFIX
 from stillroom_scenes.camera_path import PATHS
 from stillroom_scenes.render import World
-from stillroom_scenes.room import SyntheticRoom
+from stillroom_scenes.room import DepthFault, SyntheticRoom
 from stillroom_scenes.scene.layout import ROOMS
 from stillroom_scenes.scene.people.choreography import FIGURES
 from stillroom_scenes.worlds.corridor import corridor
@@ -21,6 +21,7 @@ from stillroom_scenes.worlds.single import single_room
 KEYS = {"frames": "n_frames"}  # short names in a spec; the others are the fields'
 WAYS = {"corridor": "round", "building": "tour"}  # the only path there
 WALKERS = ("none", "walking")  # the only figures there
+LATEST_MS = 500.0
 ONLY_PEOPLE = ("walking", "standing")
 """Figures without which the room is the same; what is carried or pushed must be somewhere."""
 
@@ -45,6 +46,8 @@ class SyntheticConfig:
         noise: Whether the sensor has noise, quantisation, holes and a limited range; if not, depth is exact to 0.2 mm.
         readout_ms: Time in which the rows of a colour image are read, a rolling shutter [ms]; 0: all at once. Depth is
             taken at once, in the middle of it.
+        depth_scale: What the sensor says a metre is: with 1.03 all depth is 3 % too far, and the camera does not know.
+        depth_late_ms: How late depth is stamped [ms]: each image has the depth of so much earlier.
         cache: Whether frames are kept in the user's cache folder.
     """
 
@@ -59,6 +62,8 @@ class SyntheticConfig:
     alike: bool = True
     noise: bool = True
     readout_ms: float = 0.0
+    depth_scale: float = 1.0
+    depth_late_ms: float = 0.0
     cache: bool = True
 
     def build(self) -> SyntheticRoom:
@@ -79,6 +84,12 @@ class SyntheticConfig:
             raise ConfigError(
                 f"synthetic: readout_ms is {self.readout_ms}; it must be 0 to {longest_ms:.3g}, the time of a frame"
             )
+        if not 0.5 <= self.depth_scale <= 2.0:
+            raise ConfigError(f"synthetic: depth_scale is {self.depth_scale}; it must be 0.5 to 2")
+        if not abs(self.depth_late_ms) <= LATEST_MS:
+            raise ConfigError(
+                f"synthetic: depth_late_ms is {self.depth_late_ms}; it must be -{LATEST_MS:g} to {LATEST_MS:g}"
+            )
         if self.seed < 0:
             raise ConfigError(f"synthetic: seed is {self.seed}; it must be 0 or more")
         if not 1 <= self.rooms <= MOST_ROOMS:
@@ -88,8 +99,11 @@ class SyntheticConfig:
         name = self.name or self._own_name()
         # The name and the cache do not change what a frame looks like.
         looks = repr(replace(self, name="", cache=True)) if self.cache else None
+        depth = DepthFault(self.depth_scale, 1e-3 * self.depth_late_ms)
         readout_s = 1e-3 * self.readout_ms
-        room = SyntheticRoom(name, self._world(), self.n_frames, self.fps, self.seed, self.noise, looks, readout_s)
+        room = SyntheticRoom(
+            name, self._world(), self.n_frames, self.fps, self.seed, self.noise, looks, readout_s, depth
+        )
         if self.figures in ONLY_PEOPLE:
             room.empty = replace(self, name="", figures="none").build
         return room
@@ -112,6 +126,8 @@ class SyntheticConfig:
         rate = "" if self.fps == 30.0 else f"_{self.fps:g}fps"
         exact = "" if self.noise else "_exact"
         rolling = f"_readout{self.readout_ms:g}ms" if self.readout_ms else ""
+        rolling += f"_depth{self.depth_scale:g}" if self.depth_scale != 1.0 else ""
+        rolling += f"_late{self.depth_late_ms:g}ms" if self.depth_late_ms else ""
         place = self.room
         if self.room == "building":
             place = f"building_{self.rooms}_{'alike' if self.alike else 'different'}"

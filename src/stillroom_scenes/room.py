@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -15,6 +16,7 @@ from stillroom.data.trajectory import Trajectory
 from stillroom.datasets.recording import Recording
 from stillroom.geometry.arrays import F32, F64, U8, U16, Bool
 from stillroom.geometry.camera import Camera
+from stillroom.geometry.depth_noise import STRUCTURED_LIGHT
 from stillroom_scenes import sensor
 from stillroom_scenes.cache import FrameCache, StoredFrame
 from stillroom_scenes.raster import extents_of
@@ -22,7 +24,7 @@ from stillroom_scenes.remains import Remains
 from stillroom_scenes.render import Rendering, World, render, render_rows
 from stillroom_scenes.scene.people.figures import FIRST_OBJECT
 
-CAMERA = Camera(640, 480, 525.0, 525.0, 319.5, 239.5, depth_factor=5000.0, bf=40.0)
+CAMERA = Camera(640, 480, 525.0, 525.0, 319.5, 239.5, depth_factor=5000.0, bf=40.0, depth_noise=STRUCTURED_LIGHT)
 SMALLEST_BOX_PX = 150
 
 
@@ -41,6 +43,21 @@ class FrameTruth:
     depth_m: F32
     instance: U8
     moving: Bool
+
+
+class DepthFault(NamedTuple):
+    """What is wrong with the depth sensor, of which the camera knows nothing.
+
+    Attributes:
+        scale: What it measures, as a share of the truth.
+        late_s: How late its images are stamped [s].
+    """
+
+    scale: float = 1.0
+    late_s: float = 0.0
+
+
+SOUND = DepthFault()
 
 
 class SyntheticRoom(Recording):
@@ -66,6 +83,7 @@ class SyntheticRoom(Recording):
         noise: bool,
         cache_spec: str | None,
         readout_s: float = 0.0,
+        depth: DepthFault = SOUND,
     ) -> None:
         """Take pictures of a world.
 
@@ -78,13 +96,14 @@ class SyntheticRoom(Recording):
             noise: Whether the sensor has any.
             cache_spec: All that decides what frames look like, to find those kept on disk; None to keep none.
             readout_s: Of the camera's rolling shutter [s]; see `Camera.readout_s`.
+            depth: What is wrong with depth.
         """
         self.name = name
         self.camera = replace(CAMERA, readout_s=readout_s)
         self.camera_source = "the renderer's own pinhole camera: fx = fy = 525, no distortion, exact"
         self.timestamps_s = np.arange(n_frames) / fps
         self.scene = world.scene
-        self._way = world.way
+        self._way, self._depth = world.way, depth
         self._noise = sensor.NoiseTables(seed) if noise else None
         self._cache: FrameCache | None = None
         if cache_spec is not None:
@@ -158,19 +177,28 @@ class SyntheticRoom(Recording):
     def _taken(self, index: int) -> StoredFrame:
         """Render frame `index` and apply the sensor model: colours row by row, depth at once in the middle of them."""
         rendering = self._rendered(index)
+        inverse_depth = self._inverse_depth(rendering, float(self.timestamps_s[index]))
         if self.camera.readout_s > 0.0:
             rows = render_rows(self.scene, self.camera, self._way, float(self.timestamps_s[index]))
-            rendering = Rendering(rows.rgb, rendering.inverse_depth, rows.instance)
+            rendering = Rendering(rows.rgb, inverse_depth, rows.instance)
         units: U16 = np.empty(rendering.instance.shape, dtype=np.uint16)
         if self._noise is None:
-            sensor.clean_units(rendering.inverse_depth, self.camera.depth_factor, units)
+            sensor.clean_units(inverse_depth, self.camera.depth_factor, units)
         else:
             places = self._noise.places(index, self.camera.height, self.camera.width)
             sensor.add_colour_noise(rendering.rgb, self._noise.colour, places[0])
-            sensor.measured_units(
-                rendering.inverse_depth, self._noise.normal, places[1:], self.camera.depth_factor, units
-            )
+            sensor.measured_units(inverse_depth, self._noise.normal, places[1:], self.camera.depth_factor, units)
         return StoredFrame(rendering.rgb, units, rendering.instance)
+
+    def _inverse_depth(self, rendering: Rendering, time_s: float) -> F32:
+        """Return 1/z (H, W) [1/m] as the sensor says that it is at a moment, before its noise."""
+        scale, late_s = self._depth
+        seen = rendering.inverse_depth
+        if late_s != 0.0:
+            then_s = time_s - late_s
+            pose: F64 = self._way.poses(np.array([then_s]))[0]
+            seen = render(self.scene, self.camera, pose, max(0.0, then_s)).inverse_depth
+        return seen if scale == 1.0 else np.asarray(seen / np.float32(scale))
 
     def _movers(self, time_s: float) -> dict[int, str]:
         """Return instance and label of all that moves at a moment."""

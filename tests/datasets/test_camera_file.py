@@ -54,7 +54,7 @@ def test_without_distortion_has_none(tmp_path: Path) -> None:
     ("change", "said"),
     [
         (("fx = 900.5", "fxx = 900.5"), "unknown key 'fxx'; did you mean 'fx'?"),
-        (("depth_factor", "depth_scale"), "unknown key 'depth_scale'; did you mean 'depth_factor'?"),
+        (("depth_factor", "depth_facter"), "unknown key 'depth_facter'; did you mean 'depth_factor'?"),
         (("distortion", "distorsion"), "unknown key 'distorsion'; did you mean 'distortion'?"),
         (("fy = 901\n", ""), "'fy' is missing"),
         (("fx = 900.5", "fx = '900.5'"), "'fx' is '900.5'; it must be a number"),
@@ -115,7 +115,8 @@ def test_the_option_beats_the_file_beats_the_name(tmp_path: Path) -> None:
     assert "rgbd_bonn_" in by_name[1]
     own = written(folder, GOOD)
     by_file = choose_camera(folder, folder.name, None)
-    assert by_file[0] == replace(read_camera(own), readout_s=NAMED_CAMERAS["bonn"].readout_s)
+    bonn = NAMED_CAMERAS["bonn"]
+    assert by_file[0] == replace(read_camera(own), readout_s=bonn.readout_s, depth_noise=bonn.depth_noise)
     assert str(own) in by_file[1]
     by_option = choose_camera(folder, folder.name, "fr3")
     assert by_option == (NAMED_CAMERAS["tum-freiburg3"], "'tum-freiburg3', as given")
@@ -188,3 +189,45 @@ def test_a_sequences_own_file_takes_the_readout_of_its_named_camera_where_it_say
     camera, source = choose_camera(tmp_path, "rgbd_bonn_balloon", None)
     assert camera.readout_s == 0.0, "what the file says counts"
     assert "readout" not in source
+
+
+def test_what_measures_depth_its_scale_and_its_clock_are_written_and_read_back(tmp_path: Path) -> None:
+    camera = Camera(
+        640, 480, 525.0, 525.0, 319.5, 239.5, depth_noise="time-of-flight", depth_scale=0.97, depth_offset_s=-0.0151
+    )
+    write_camera(camera, tmp_path / "c.toml")
+    assert read_camera(tmp_path / "c.toml") == camera
+    assert camera.units_per_m == pytest.approx(5000.0 / 0.97)
+    plain = read_camera(written(tmp_path, GOOD))
+    assert (plain.depth_noise, plain.depth_scale, plain.depth_offset_s) == ("unknown", 1.0, 0.0)
+    assert plain.units_per_m == 1000.0
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        (
+            'depth_noise = "sonar"',
+            "depth_noise is 'sonar'; it must be one of unknown, structured-light, time-of-flight",
+        ),
+        ("depth_noise = 3", "'depth_noise' is 3; it must be one of unknown"),
+        ("depth_scale = 0.0", "depth_scale is 0.0; it must be positive"),
+        ("depth_scale = nan", "depth_scale is nan"),
+        ("depth_offset_s = inf", "depth_offset_s is inf; it must be a number of seconds"),
+        ("depth_offset_s = '15 ms'", "'depth_offset_s' is '15 ms'; it must be a number"),
+    ],
+)
+def test_depth_that_no_camera_has_is_refused(line: str, said: str, tmp_path: Path) -> None:
+    path = written(tmp_path, GOOD + line + "\n")
+    with pytest.raises(CalibrationError) as caught:
+        read_camera(path)
+    assert said in str(caught.value)
+    assert str(caught.value).startswith(str(path))
+
+
+def test_a_sequences_own_file_takes_the_sensor_of_its_named_camera_where_it_says_none(tmp_path: Path) -> None:
+    written(tmp_path, GOOD)
+    assert choose_camera(tmp_path, "rgbd_bonn_crowd", None)[0].depth_noise == "structured-light"
+    assert choose_camera(tmp_path, "my_room", None)[0].depth_noise == "unknown"
+    written(tmp_path, GOOD + 'depth_noise = "time-of-flight"\n')
+    assert choose_camera(tmp_path, "rgbd_bonn_crowd", None)[0].depth_noise == "time-of-flight"

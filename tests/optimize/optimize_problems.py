@@ -8,7 +8,7 @@ from stillroom.geometry import se3
 from stillroom.geometry.camera import Camera
 
 CAMERA = Camera(640, 480, 542.8, 541.1, 315.6, 237.8)
-INTRINSICS = np.array([CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy, CAMERA.bf])
+INTRINSICS = np.array([CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy, CAMERA.bf, 1.0])
 
 
 @dataclass

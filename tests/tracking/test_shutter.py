@@ -11,14 +11,17 @@ from stillroom.data.frame import Frame
 from stillroom.data.matches import Matches
 from stillroom.data.motion import Motion
 from stillroom.geometry import se3
+from stillroom.optimize.depth_terms import MeasuredDepth, RightCoordinate
 from stillroom.optimize.pose import PoseOptimizerConfig
 from stillroom.tracking.shutter import (
     FASTEST_TURN_RAD_S,
     Before,
+    DepthNoiseConfig,
     GlobalShutter,
     RollingShutter,
     RollingShutterConfig,
     expected_velocity,
+    turn_rad_s,
 )
 from stillroom.tracking.tracker import TrackerConfig
 
@@ -62,8 +65,8 @@ def test_pose_and_velocity_are_found_where_one_for_all_rows_is_wrong() -> None:
     small = SmallMap.of(WORLD, [np.eye(4), pose(0.02)])
     frame, seen = look(pose(0.04))
     matches, guess = matches_of(small, seen), se3.inverse(pose(0.04))
-    moving = rolling(turn_rad_s=1.0, speed_m_s=0.3).fit(frame, guess, matches, small.map, None, 1.0)
-    still = GlobalShutter(PoseOptimizerConfig()).fit(frame, guess, matches, small.map, None, 1.0)
+    moving = rolling(turn_rad_s=1.0, speed_m_s=0.3).fit(frame, guess, matches, small.map, None, RightCoordinate())
+    still = GlobalShutter(PoseOptimizerConfig()).fit(frame, guess, matches, small.map, None, RightCoordinate())
     assert moving.velocity is not None
     np.testing.assert_allclose(moving.velocity[3:], VELOCITY[3:], atol=0.15)
     assert pose_error(moving.T_cam_world, pose(0.04)) < 0.4 * pose_error(still.T_cam_world, pose(0.04))
@@ -82,7 +85,7 @@ def test_a_frame_moved_by_the_right_velocity_has_nothing_left_to_find() -> None:
     np.testing.assert_allclose(
         moved.keypoints.right_px, CAMERA.right_coordinate(moved.keypoints.px[:, 0], frame.keypoints.depth_m)
     )
-    fitted = rolling().fit(moved, se3.inverse(pose(0.04)), matches_of(small, seen), small.map, None, 1.0)
+    fitted = rolling().fit(moved, se3.inverse(pose(0.04)), matches_of(small, seen), small.map, None, RightCoordinate())
     assert fitted.velocity is not None
     assert np.abs(fitted.velocity).max() < 0.05
 
@@ -134,3 +137,18 @@ def test_rows_have_the_times_of_the_image_as_taken() -> None:
     after_s = ROLLING_CAMERA.rows_after_s(np.array([-0.5, 239.5, 479.5]))
     np.testing.assert_allclose(after_s, [-0.015, 0.0, 0.015])
     assert not CAMERA.rows_after_s(np.array([0.0, 479.0])).any()
+
+
+def test_depth_counts_as_in_orb_slam2_while_the_camera_turns_or_nobody_knows_how_fast() -> None:
+    kinect = replace(CAMERA, depth_noise="structured-light")
+    config = DepthNoiseConfig(right_sigma=0.5, model="sensor")
+    observed, weights = np.array([[300.0, 200.0, 280.0]]), np.ones((1, 3))
+    slow, fast, unknown = (config.terms(turn, kinect) for turn in (0.4, 0.6, turn_rad_s(np.eye(4), None)))
+    assert isinstance(slow, MeasuredDepth)
+    for terms in (fast, unknown):
+        np.testing.assert_array_equal(terms(observed, weights, kinect).weights, weights)
+        assert terms(observed, weights, kinect).intrinsics[5] == 1.0
+    assert isinstance(config.terms(0.4, CAMERA), RightCoordinate), "nothing is known of that sensor"
+    assert config.terms(0.4, CAMERA)(observed, weights, CAMERA).weights[0, 2] == 4.0
+    assert turn_rad_s(np.eye(4), Before(np.eye(4), 0.0)) == np.inf
+    assert turn_rad_s(np.eye(4), Before(se3.exp(np.array([0, 0, 0, 0, 0.02, 0])), 0.1)) == pytest.approx(0.2)

@@ -24,7 +24,7 @@ def shutter_parts(config: SlamConfig) -> dict[str, SlamConfig]:
     """
     prior = replace(config.trajectory, enabled=True)
     nothing = replace(
-        with_depth(config, 1.0),
+        with_depth(config, DepthNoiseConfig()),
         tracking=replace(config.tracking, shutter=GLOBAL, depth=DepthNoiseConfig()),
         trajectory=replace(config.trajectory, enabled=False),
         dynamics=_limited(config, ClusterSieveConfig().max_turn_rad_s),
@@ -35,27 +35,26 @@ def shutter_parts(config: SlamConfig) -> dict[str, SlamConfig]:
         NOTHING: nothing,
         PRIOR: replace(nothing, trajectory=prior),
         SHUTTER: replace(nothing, tracking=rolling),
-        DEPTH: with_depth(nothing, own.RIGHT_SIGMA),
+        DEPTH: with_depth(nothing, own.DEPTH),
         TURNS: replace(nothing, dynamics=limited),
-        ALL: with_depth(replace(nothing, trajectory=prior, tracking=rolling, dynamics=limited), own.RIGHT_SIGMA),
+        ALL: with_depth(replace(nothing, trajectory=prior, tracking=rolling, dynamics=limited), own.DEPTH),
     }
     if limited == nothing.dynamics:
         del parts[TURNS]
     return parts
 
 
-def with_depth(config: SlamConfig, right_sigma: float) -> SlamConfig:
-    """Return a config in which right coordinates have this deviation, as a share of the left ones'."""
+def with_depth(config: SlamConfig, depth: DepthNoiseConfig) -> SlamConfig:
+    """Return a config in which depth counts as it says, in poses and in all bundle adjustments."""
     mapping, loops = config.mapping, config.loops
+    same = {"right_sigma": depth.right_sigma, "depth_model": depth.model}
     return replace(
         config,
-        tracking=replace(config.tracking, depth=replace(config.tracking.depth, right_sigma=right_sigma)),
+        tracking=replace(config.tracking, depth=depth),
         mapping=replace(
-            mapping,
-            bundle=replace(mapping.bundle, right_sigma=right_sigma),
-            looped_bundle=replace(mapping.looped_bundle, right_sigma=right_sigma),
+            mapping, bundle=replace(mapping.bundle, **same), looped_bundle=replace(mapping.looped_bundle, **same)
         ),
-        loops=replace(loops, bundle=replace(loops.bundle, right_sigma=right_sigma)),
+        loops=replace(loops, bundle=replace(loops.bundle, **same)),
     )
 
 

@@ -138,8 +138,14 @@ class LiveCamera:
         """
         shot = self._next_shot()
         self._n_taken += 1
-        depth_m = depth_in_metres(shot.units, self.camera.depth_factor)
-        return RgbdImage(shot.time_s, np.ascontiguousarray(shot.rgb), depth_m, self._n_taken - 1)
+        depth_m = depth_in_metres(shot.units, self.camera.units_per_m)
+        return RgbdImage(
+            shot.time_s,
+            np.ascontiguousarray(shot.rgb),
+            depth_m,
+            self._n_taken - 1,
+            depth_after_s=self.camera.depth_offset_s,
+        )
 
     def _next_shot(self) -> Shot:
         for _ in range(round(GONE_AFTER_S / SLICE_S)):

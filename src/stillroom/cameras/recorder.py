@@ -146,7 +146,7 @@ class TumRecorder:
         name = f"{image.timestamp_s:.6f}"
         if (self._folder / "rgb" / f"{name}.png").exists():  # two images within a microsecond
             name = repr(image.timestamp_s)
-        units = depth_in_units(image, self._stream.camera.depth_factor)
+        units = depth_in_units(image, self._stream.camera.units_per_m)
         way = STORED if 2 * self._queue.qsize() > self._queue.maxsize else COMPRESSED
         for folder, pixels in (("rgb", cv2.cvtColor(image.rgb, cv2.COLOR_RGB2BGR)), ("depth", units)):
             encoded = cv2.imencode(".png", pixels, way)[1]

@@ -24,6 +24,8 @@ class RgbdImage:
         index: Place of the image in its sequence, from 0; `Slam.process` counts images that have none.
         name: Name of its colour file without folder and suffix; "" for an image that never was a file.
         truth: The renderer's exact boxes and masks; None on real data.
+        depth_after_s: How long after the colour image depth was taken, as far as is known [s]; negative where before.
+            It counts only where the camera has a `depth_offset_s`, which it contains.
     """
 
     timestamp_s: float
@@ -32,6 +34,7 @@ class RgbdImage:
     index: int = NO_INDEX
     name: str = ""
     truth: Semantics | None = field(default=None, repr=False)
+    depth_after_s: float = 0.0
 
     @cached_property
     def gray(self) -> U8:

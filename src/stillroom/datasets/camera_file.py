@@ -13,6 +13,9 @@
     baseline_m = 0.075                       # or bf = 40.0 [px·m]; may be left out
     max_depth_m = 6.0                        # depth beyond the sensor's range is unknown; may be left out
     readout_s = 0.030                        # from the first row of a colour image to the last; 0: global shutter
+    depth_noise = "structured-light"         # or "time-of-flight": how well depth is known; may be left out
+    depth_scale = 0.97                       # by what depth is multiplied; below 1 where it reads too far
+    depth_offset_s = -0.015                  # added to the times of depth; negative where it is stamped late
 """
 
 import math
@@ -25,9 +28,19 @@ from typing import Any
 from stillroom.data.text import read_text
 from stillroom.errors import CalibrationError
 from stillroom.geometry.camera import Camera
+from stillroom.geometry.depth_noise import KNOWN, STRUCTURED_LIGHT, UNKNOWN
 
 REQUIRED = ("width", "height", "fx", "fy", "cx", "cy", "depth_factor")
-OPTIONAL = ("distortion", "bf", "baseline_m", "max_depth_m", "readout_s")
+OPTIONAL = (
+    "distortion",
+    "bf",
+    "baseline_m",
+    "max_depth_m",
+    "readout_s",
+    "depth_noise",
+    "depth_scale",
+    "depth_offset_s",
+)
 DEFAULT_BASELINE_M = 0.075
 """Of a Kinect's projector and camera; what `bf` = 40 comes to on TUM's cameras."""
 
@@ -54,9 +67,13 @@ def read_camera(path: Path) -> Camera:
     bf = _number(path, values, "bf") if "bf" in values else fx * _baseline_m(path, values)
     read_range(path)
     depth_factor, distortion = _number(path, values, "depth_factor"), _distortion(path, values)
-    readout_s = _number(path, values, "readout_s") if "readout_s" in values else 0.0
+    numbers = {
+        key: _number(path, values, key) for key in ("readout_s", "depth_scale", "depth_offset_s") if key in values
+    }
     try:
-        return Camera(width, height, fx, fy, cx, cy, distortion, depth_factor, bf, readout_s)
+        return Camera(
+            width, height, fx, fy, cx, cy, distortion, depth_factor, bf, depth_noise=_sensor(path, values), **numbers
+        )
     except CalibrationError as error:
         raise CalibrationError(f"{path}: {error}") from error
 
@@ -92,7 +109,10 @@ def write_camera(camera: Camera, path: Path) -> None:
         f"distortion = [{k1_to_k3}]  # k1 k2 p1 p2 k3\n"
         f"depth_factor = {float(camera.depth_factor)!r}  # units of the depth image per metre\n"
         f"bf = {float(camera.bf)!r}  # baseline of the virtual stereo pair times fx [px·m]\n"
-        f"readout_s = {float(camera.readout_s)!r}  # from the first row of a colour image to the last [s]\n",
+        f"readout_s = {float(camera.readout_s)!r}  # from the first row of a colour image to the last [s]\n"
+        f'depth_noise = "{camera.depth_noise}"  # what measures depth\n'
+        f"depth_scale = {float(camera.depth_scale)!r}  # by what depth is multiplied\n"
+        f"depth_offset_s = {float(camera.depth_offset_s)!r}  # added to the times of depth [s]\n",
         encoding="utf-8",
     )
 
@@ -129,6 +149,13 @@ def _integer(path: Path, values: dict[str, Any], key: str) -> int:
     return value
 
 
+def _sensor(path: Path, values: dict[str, Any]) -> str:
+    name = values.get("depth_noise", UNKNOWN)
+    if not isinstance(name, str):
+        raise CalibrationError(f"{path}: 'depth_noise' is {name!r}; it must be one of {', '.join(KNOWN)}")
+    return name
+
+
 def _baseline_m(path: Path, values: dict[str, Any]) -> float:
     return _number(path, values, "baseline_m") if "baseline_m" in values else DEFAULT_BASELINE_M
 
@@ -158,6 +185,7 @@ NAMED_CAMERAS: dict[str, Camera] = {
         cy=237.756098,
         distortion=(0.039903, -0.099343, -0.000730, -0.000144, 0.0),
         readout_s=0.033,  # estimated: docs/reference.md#rolling-shutters
+        depth_noise=STRUCTURED_LIGHT,
     ),
     # Sturm et al., IROS 2012; values as in ORB-SLAM2's TUM1.yaml, TUM2.yaml and TUM3.yaml
     # (docs/reference.md#tum-rgb-d-calibration).
@@ -170,6 +198,7 @@ NAMED_CAMERAS: dict[str, Camera] = {
         cy=255.313989,
         distortion=(0.262383, -0.953104, -0.005358, 0.002628, 1.163314),
         readout_s=0.024,  # estimated: docs/reference.md#rolling-shutters
+        depth_noise=STRUCTURED_LIGHT,
     ),
     "tum-freiburg2": Camera(
         width=640,
@@ -179,8 +208,11 @@ NAMED_CAMERAS: dict[str, Camera] = {
         cx=325.141442,
         cy=249.701764,
         distortion=(0.231222, -0.784899, -0.003257, -0.000105, 0.917205),
+        depth_noise=STRUCTURED_LIGHT,
     ),
-    "tum-freiburg3": Camera(width=640, height=480, fx=535.4, fy=539.2, cx=320.1, cy=247.6),
+    "tum-freiburg3": Camera(
+        width=640, height=480, fx=535.4, fy=539.2, cx=320.1, cy=247.6, depth_noise=STRUCTURED_LIGHT
+    ),
 }
 
 ALIASES: dict[str, str] = {
@@ -227,7 +259,7 @@ def choose_camera(folder: Path, sequence_name: str, option: str | None) -> tuple
     own = folder / CAMERA_FILE_NAME
     recognised = next((prefix for prefix in RECOGNISED_PREFIXES if sequence_name.startswith(prefix)), None)
     if own.is_file():
-        return _with_known_readout(own, recognised)
+        return _with_known_sensor(own, recognised)
     if recognised is not None:
         name = RECOGNISED_PREFIXES[recognised]
         return NAMED_CAMERAS[name], f"'{name}', because the sequence is called {recognised}*"
@@ -237,18 +269,24 @@ def choose_camera(folder: Path, sequence_name: str, option: str | None) -> tuple
     )
 
 
-def _with_known_readout(path: Path, recognised: str | None) -> tuple[Camera, str]:
-    """Return a sequence's own camera; what it does not say of its shutter is that of the camera of the data set's name.
+def _with_known_sensor(path: Path, recognised: str | None) -> tuple[Camera, str]:
+    """Return a sequence's own camera; what it does not say of its sensors is that of the data set's named one.
 
     Raises:
         CalibrationError: The file cannot be read.
     """
     camera, source = read_camera(path), f"the sequence's own {CAMERA_FILE_NAME}: {path}"
-    name = None if recognised is None else RECOGNISED_PREFIXES[recognised]
-    if name is None or "readout_s" in _read_toml(path) or NAMED_CAMERAS[name].readout_s == 0.0:
+    if recognised is None:
         return camera, source
-    readout_s = NAMED_CAMERAS[name].readout_s
-    return replace(camera, readout_s=readout_s), f"{source}; readout of {1e3 * readout_s:.0f} ms as of '{name}'"
+    name, given = RECOGNISED_PREFIXES[recognised], _read_toml(path)
+    known = NAMED_CAMERAS[name]
+    if "depth_noise" not in given:
+        camera = replace(camera, depth_noise=known.depth_noise)
+    if "readout_s" in given or known.readout_s == 0.0:
+        return camera, source
+    return replace(
+        camera, readout_s=known.readout_s
+    ), f"{source}; readout of {1e3 * known.readout_s:.0f} ms as of '{name}'"
 
 
 def choose_range(folder: Path, option: str | None) -> float:

@@ -1,7 +1,7 @@
 """A sequence of image files: colour and depth paired in time, read when asked for."""
 
 import logging
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import cv2
@@ -11,7 +11,7 @@ from stillroom.data.image import RgbdImage
 from stillroom.data.trajectory import Trajectory, read_tum
 from stillroom.datasets.camera_file import choose_camera, choose_range
 from stillroom.datasets.listing import Listing
-from stillroom.datasets.pairing import Pairing, pair_images
+from stillroom.datasets.pairing import BY_TIME, Pairing, pair_images
 from stillroom.datasets.recording import Recording
 from stillroom.datasets.time_units import NAMES, groundtruth_in_seconds
 from stillroom.errors import CalibrationError, DatasetError, FrameError, TrajectoryError
@@ -147,6 +147,8 @@ class ImageSequence(Recording):
         groundtruth_at_camera: The same moved to the camera, where they are those of another body that rides on it.
         unpaired_s: Times (M,) [s] of colour images that were left out because no depth image belongs to them.
         range_m: Depth beyond this is none [m].
+        depth_after_s: How long after its colour image each depth image was taken (N,) [s], by the stamps and the offset
+            of the clocks that is in force; 0 where stamps mean nothing.
         groundtruth_flaw: Why `groundtruth.txt` cannot be used; empty where it can, or where there is none.
     """
 
@@ -161,6 +163,7 @@ class ImageSequence(Recording):
     unpaired_s: F64 = field(default_factory=lambda: np.zeros(0))
     groundtruth_flaw: str = ""
     range_m: float = np.inf
+    depth_after_s: F64 = field(default_factory=lambda: np.zeros(0))
 
     def load(self, index: int) -> RgbdImage:
         """Read image `index`.
@@ -175,9 +178,15 @@ class ImageSequence(Recording):
         expected = (self.camera.height, self.camera.width)
         if rgb.shape[:2] != expected:
             raise FrameError(f"{self.rgb_files[index]}: {_size(rgb)} pixels; the sequence has {_size_of(self.camera)}")
-        units = without_unknown(units, self.camera.depth_factor, self.range_m)
-        depth_m = depth_in_metres(units, self.camera.depth_factor)
-        return RgbdImage(float(self.timestamps_s[index]), rgb, depth_m, index, self.rgb_files[index].stem)
+        units = without_unknown(units, self.camera.units_per_m, self.range_m)
+        return RgbdImage(
+            float(self.timestamps_s[index]),
+            rgb,
+            depth_in_metres(units, self.camera.units_per_m),
+            index,
+            self.rgb_files[index].stem,
+            depth_after_s=float(self.depth_after_s[index]) if len(self.depth_after_s) else 0.0,
+        )
 
 
 def build_sequence(
@@ -207,7 +216,9 @@ def build_sequence(
     """
     name = name or folder.resolve().name
     calibration, source = choose_camera(folder, name, camera)
-    of_rgb, of_depth = pairs or pair_images(folder, rgb, depth, pairing or Pairing())
+    pairing = (pairing or Pairing()).or_offset(calibration.depth_offset_s)
+    calibration = replace(calibration, depth_offset_s=pairing.depth_offset_s)
+    of_rgb, of_depth = pairs or pair_images(folder, rgb, depth, pairing)
     groundtruth, flaw = _groundtruth(folder / GROUNDTRUTH_NAME, rgb.timestamps_s)
     sequence = ImageSequence(
         name=name,
@@ -220,10 +231,25 @@ def build_sequence(
         unpaired_s=np.delete(rgb.timestamps_s, of_rgb),
         groundtruth_flaw=flaw,
         range_m=choose_range(folder, camera),
+        depth_after_s=_depth_after_s(rgb.timestamps_s[of_rgb], depth.timestamps_s[of_depth], pairing, pairs is None),
     )
     _probe(folder, sequence)
     _remark(sequence)
     return sequence
+
+
+def _depth_after_s(rgb_s: F64, depth_s: F64, pairing: Pairing, are_timed: bool) -> F64:
+    """Return how long after its colour image each depth image was taken (K,) [s].
+
+    Args:
+        rgb_s: Times of the colour images (K,) [s].
+        depth_s: Those of their depth images (K,) [s].
+        pairing: How they were paired, and the offset of the clocks.
+        are_timed: Whether the images were paired here; else times of depth mean nothing.
+    """
+    if are_timed and pairing.by in {None, BY_TIME}:
+        return np.asarray(depth_s + pairing.depth_offset_s - rgb_s)
+    return np.full(len(rgb_s), pairing.depth_offset_s)
 
 
 def _groundtruth(path: Path, times_s: F64) -> tuple[Trajectory | None, str]:

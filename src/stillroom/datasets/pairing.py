@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +27,7 @@ class Pairing:
             times, else names.
         max_gap_s: Images further apart in time are not paired [s].
         depth_offset_s: Added to the times of depth [s] before they are compared; negative where depth is stamped late.
+            What is then left between a depth image and its colour image is corrected by the camera's motion.
     """
 
     time_unit: str | None = None
@@ -48,6 +49,10 @@ class Pairing:
             raise ConfigError(f"max-gap is {self.max_gap_s}; it must be a positive number of seconds")
         if not np.isfinite(self.depth_offset_s):
             raise ConfigError(f"depth-offset is {self.depth_offset_s}; it must be a number of seconds")
+
+    def or_offset(self, depth_offset_s: float) -> "Pairing":
+        """Return the same with a camera's offset of the clocks [s], where the user gave none."""
+        return self if self.depth_offset_s else replace(self, depth_offset_s=depth_offset_s)
 
 
 def pair_images(

@@ -9,6 +9,7 @@ import numpy as np
 
 from stillroom.errors import CalibrationError
 from stillroom.geometry.arrays import F32, F64, Floats
+from stillroom.geometry.depth_noise import KNOWN, UNKNOWN
 from stillroom.geometry.pixels import in_pixels, pixel_scale
 
 # OpenCV 4 has the iterated form under a name of its own; OpenCV 5 folded it into undistortPoints.
@@ -48,6 +49,9 @@ def brown_conrady(lens: Lens, x: Coordinate, y: Coordinate) -> tuple[Coordinate,
 LONGEST_READOUT_S = 0.2
 
 
+_POSITIVE = "depth_factor", "bf", "depth_scale"
+
+
 @dataclass(frozen=True)
 class Camera:
     """An RGB-D camera: x right, y down, z forward; pixel centres at integers; depth registered to colour.
@@ -61,6 +65,11 @@ class Camera:
             (40 for Kinect-like sensors; docs/reference.md#orb-slam2-camera-and-features).
         readout_s: Time from the first row of a colour image to the last [s]: a rolling shutter; 0 for a global one.
             An image's time is that of its middle row.
+        depth_noise: What measures depth, which tells how well: structured-light, time-of-flight, or unknown
+            (`geometry.depth_noise`).
+        depth_scale: By what depth as stored is multiplied; below 1 where the sensor reads too far.
+        depth_offset_s: What has to be added to the time of a depth image [s]; negative where it is stamped late. At 0
+            depth counts as taken with its colour image, else `RgbdImage.depth_after_s` says when it was.
     """
 
     width: int
@@ -73,6 +82,9 @@ class Camera:
     depth_factor: float = 5000.0
     bf: float = 40.0
     readout_s: float = 0.0
+    depth_noise: str = UNKNOWN
+    depth_scale: float = 1.0
+    depth_offset_s: float = 0.0
 
     def __post_init__(self) -> None:
         """Refuse a camera that cannot exist.
@@ -80,11 +92,11 @@ class Camera:
         Raises:
             CalibrationError: A number is not finite, or a size, focal length, factor or baseline is not positive.
         """
-        numbers = {name: getattr(self, name) for name in ("fx", "fy", "cx", "cy", "depth_factor", "bf")}
+        numbers = {name: getattr(self, name) for name in ("fx", "fy", "cx", "cy", *_POSITIVE)}
         for name, value in numbers.items():
             if not np.isfinite(value):
                 raise CalibrationError(f"camera: {name} is {value}; it must be a finite number")
-        for name in ("width", "height", "fx", "fy", "depth_factor", "bf"):
+        for name in ("width", "height", "fx", "fy", *_POSITIVE):
             if getattr(self, name) <= 0:
                 raise CalibrationError(f"camera: {name} is {getattr(self, name)}; it must be positive")
         if not 0.0 <= self.readout_s <= LONGEST_READOUT_S:
@@ -92,6 +104,10 @@ class Camera:
                 f"camera: readout_s is {self.readout_s}; it must be 0 to {LONGEST_READOUT_S} s, the time in which the "
                 "rows of an image are read"
             )
+        if self.depth_noise not in KNOWN:
+            raise CalibrationError(f"camera: depth_noise is '{self.depth_noise}'; it must be one of {', '.join(KNOWN)}")
+        if not np.isfinite(self.depth_offset_s):
+            raise CalibrationError(f"camera: depth_offset_s is {self.depth_offset_s}; it must be a number of seconds")
         if len(self.distortion) != 5 or not np.all(np.isfinite(self.distortion)):
             raise CalibrationError(f"camera: distortion is {self.distortion}; it must be five numbers k1 k2 p1 p2 k3")
 
@@ -104,6 +120,11 @@ class Camera:
     def K(self) -> F64:
         """Intrinsic matrix (3, 3)."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    @property
+    def units_per_m(self) -> float:
+        """Units of the depth image per true metre."""
+        return self.depth_factor if self.depth_scale == 1.0 else self.depth_factor / self.depth_scale
 
     @property
     def baseline_m(self) -> float:

@@ -25,7 +25,7 @@ from stillroom.optimize.bundle_kernels import (
     move_points,
     sort_observations,
 )
-from stillroom.optimize.observations import intrinsics_of
+from stillroom.optimize.depth_terms import MODELS, RIGHT, DepthTerms, depth_terms
 from stillroom.optimize.reduced_system import reduced_system
 
 
@@ -88,6 +88,8 @@ class BundleConfig:
             them 3 mm from the truth (random problems with 20 free keyframes).
         right_sigma: Standard deviation of a right coordinate, that is of the disparity that a depth stands for, as a
             share of that of the left one. ORB-SLAM2 has 1; structured light measures it better.
+        depth_model: right, depth counts by that alone; or sensor, by the noise of the camera's sensor where that is
+            known, with `right_sigma` as the least (`optimize.depth_terms`).
     """
 
     iterations_first: int = bounded(5, least=0)
@@ -97,6 +99,7 @@ class BundleConfig:
     first_damping: float = bounded(1e-4, above=0)
     min_relative_decrease: float = bounded(1e-3, least=0)
     right_sigma: float = bounded(1.0, above=0)
+    depth_model: str = bounded(RIGHT, one_of=MODELS)
 
     def build(self) -> "BundleAdjuster":
         """Return the adjuster."""
@@ -112,7 +115,7 @@ def _require_indices(what: str, indices: Ints, count: int) -> None:
 class _Adjustment:
     """One problem in the kernels' order, its present estimate, and the scratch of its steps."""
 
-    def __init__(self, problem: BundleProblem, camera: Camera, right_sigma: float = 1.0) -> None:
+    def __init__(self, problem: BundleProblem, camera: Camera, depth: DepthTerms) -> None:
         n_keyframes, n_points = len(problem.T_cam_world), len(problem.points_world_m)
         _require_indices("keyframe", problem.obs_keyframe, n_keyframes)
         _require_indices("point", problem.obs_point, n_points)
@@ -128,18 +131,22 @@ class _Adjustment:
         self.T = np.array(problem.T_cam_world, dtype=np.float64).reshape(-1, 4, 4)
         self.points = np.array(problem.points_world_m, dtype=np.float64).reshape(-1, 3)
         self.T_trial, self.points_trial = self.T.copy(), self.points.copy()
-        self.weights = np.asarray(problem.weights, dtype=np.float64).reshape(-1, 3)[self.order]
-        self.weights[:, 2] /= right_sigma**2
+        terms = depth(
+            np.asarray(problem.observed_px, dtype=np.float64).reshape(-1, 3)[self.order],
+            np.asarray(problem.weights, dtype=np.float64).reshape(-1, 3)[self.order],
+            camera,
+        )
+        self.weights = terms.weights
         n_observations, n_free = len(self.order), len(self.free)
         self.is_active = np.ones(n_observations, dtype=np.bool_)
         self.seen = Observations(
             *self.sorted,
             keyframes,
-            np.asarray(problem.observed_px, dtype=np.float64).reshape(-1, 3)[self.order],
+            terms.observed_px,
             self.weights,
             self._p_static(problem),
             self.is_active,
-            intrinsics_of(camera),
+            terms.intrinsics,
         )
         self.chi2 = np.empty(n_observations)
         self.blocks = Blocks(
@@ -207,7 +214,7 @@ class BundleAdjuster:
             IndexError: An observation names a keyframe or point that does not exist.
         """
         config = self.config
-        work = _Adjustment(problem, camera, config.right_sigma)
+        work = _Adjustment(problem, camera, depth_terms(config.depth_model, config.right_sigma, camera))
         limits = (config.chi2_2d, config.chi2_3d)
         limit = np.where(work.weights[:, 2] > 0.0, config.chi2_3d, config.chi2_2d)
         work.is_active[:] = False

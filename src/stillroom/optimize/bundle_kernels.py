@@ -47,7 +47,7 @@ class Observations(NamedTuple):
         weights: Inverse variances (O, 3) [1/px²].
         p_static: How much each counts (O,), 0 to 1.
         is_active: Which count at all (O,).
-        intrinsics: Those of `intrinsics_of` (5,).
+        intrinsics: Those of `intrinsics_of` (6,).
     """
 
     starts: I64

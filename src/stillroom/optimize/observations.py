@@ -1,9 +1,11 @@
 """What pose-only optimisation and bundle adjustment share: one observation, its derivative, and the pose update.
 
-An observation is (u, v, u_right) [px] with u_right = u − bf/z; a weight of zero on u_right means there is none. The
-error is predicted minus observed. A camera moves on the left, T ← exp(ξ) T with ξ = (ρ [m], φ [rad]), so a point x of
-the camera frame changes by ρ − [x]× φ, and both camera and point Jacobians contain the same 3×3 derivative of the
-projection. The kernels are scalars in, scalars out: numba inlines them into the loops that call them.
+An observation is (u, v, u_right) [px] with u_right = u − bf/z; a weight of zero on u_right means there is none. Where
+depth counts by the noise of its sensor (`optimize/depth_terms.py`) the third coordinate is −bf/z alone: u is no part of
+it then, nor an error of u of what depth tells. The error is predicted minus observed. A camera moves on the left,
+T ← exp(ξ) T with ξ = (ρ [m], φ [rad]), so a point x of the camera frame changes by ρ − [x]× φ, and both camera and
+point Jacobians contain the same 3×3 derivative of the projection. The kernels are scalars in, scalars out: numba
+inlines them into the loops that call them.
 """
 
 import math
@@ -47,9 +49,14 @@ def weights(octave: Ints, right_px: Floats, inverse_variances: Floats) -> F64:
     return weight
 
 
-def intrinsics_of(camera: Camera) -> F64:
-    """Return fx, fy, cx, cy [px] and bf [px·m] as the array (5,) that the kernels take."""
-    return np.array([camera.fx, camera.fy, camera.cx, camera.cy, camera.bf])
+def intrinsics_of(camera: Camera, share_of_u: float = 1.0) -> F64:
+    """Return what the kernels take, (6,): fx, fy, cx, cy [px], bf [px·m], and the share of u in the third coordinate.
+
+    Args:
+        camera: The calibration.
+        share_of_u: 1 where the third coordinate is u − bf/z, 0 where it is −bf/z.
+    """
+    return np.array([camera.fx, camera.fy, camera.cx, camera.cy, camera.bf, share_of_u])
 
 
 @njit(nogil=True, cache=True)
@@ -65,14 +72,14 @@ def to_camera(T: F64, X: float, Y: float, Z: float) -> tuple[float, float, float
 def residual(
     x: float, y: float, z: float, observed: F64, intrinsics: F64, has_right: bool
 ) -> tuple[float, float, float]:
-    """Return predicted minus observed (u, v, u_right) [px] of a camera-frame point [m] with z > 0.
+    """Return predicted minus observed (u, v, third coordinate) [px] of a camera-frame point [m] with z > 0.
 
     The third is 0 where there is no right coordinate, whatever `observed` (3,) holds there.
     """
     u = intrinsics[0] * x / z + intrinsics[2]
     e_u = u - observed[0]
     e_v = intrinsics[1] * y / z + intrinsics[3] - observed[1]
-    e_r = u - intrinsics[4] / z - observed[2] if has_right else 0.0
+    e_r = intrinsics[5] * u - intrinsics[4] / z - observed[2] if has_right else 0.0
     return e_u, e_v, e_r
 
 
@@ -128,7 +135,7 @@ def point_information(
         error: Predicted minus observed, from `residual` [px].
         weight: Inverse variances (3,) [1/px²].
         factor: The robust kernel's, times the probability that the point is static.
-        intrinsics: Those of `intrinsics_of` (5,).
+        intrinsics: Those of `intrinsics_of` (6,).
 
     Returns:
         a00, a01, a02, a11, a12, a22 of the symmetric JᵀWJ [1/m²], then g0, g1, g2 of JᵀWe [1/m].
@@ -140,14 +147,15 @@ def point_information(
     j_u2 = -j_u0 * x * inv_z
     j_v1 = intrinsics[1] * inv_z
     j_v2 = -j_v1 * y * inv_z
-    j_r2 = j_u2 + intrinsics[4] * inv_z * inv_z
+    share = intrinsics[5]  # 0 or 1, so that products with it are exact
+    j_r2 = share * j_u2 + intrinsics[4] * inv_z * inv_z
     w_u, w_v, w_r = factor * weight[0], factor * weight[1], factor * weight[2]
-    a00 = (w_u + w_r) * j_u0 * j_u0
-    a02 = j_u0 * (w_u * j_u2 + w_r * j_r2)
+    a00 = (w_u + share * w_r) * j_u0 * j_u0
+    a02 = j_u0 * (w_u * j_u2 + share * w_r * j_r2)
     a11 = w_v * j_v1 * j_v1
     a12 = w_v * j_v1 * j_v2
     a22 = w_u * j_u2 * j_u2 + w_v * j_v2 * j_v2 + w_r * j_r2 * j_r2
-    g0 = j_u0 * (w_u * e_u + w_r * e_r)
+    g0 = j_u0 * (w_u * e_u + share * w_r * e_r)
     g1 = w_v * j_v1 * e_v
     g2 = w_u * j_u2 * e_u + w_v * j_v2 * e_v + w_r * j_r2 * e_r
     return a00, 0.0, a02, a11, a12, a22, g0, g1, g2

@@ -39,7 +39,7 @@ class Seen(NamedTuple):
         observed_px: u, v, u_right (N, 3) float64 [px].
         weights: Inverse variances (N, 3) float64 [1/px²].
         p_static: How much each counts (N,) float64, 0 to 1.
-        intrinsics: Those of `intrinsics_of` (5,).
+        intrinsics: Those of `intrinsics_of` (6,).
     """
 
     points_world_m: F64
@@ -275,6 +275,7 @@ class PoseOptimizer:
         weights: Floats,
         camera: Camera,
         p_static: Floats | None = None,
+        share_of_u: float = 1.0,
     ) -> PoseEstimate:
         """Optimise the pose and classify every observation.
 
@@ -294,6 +295,7 @@ class PoseOptimizer:
             camera: Intrinsics and bf.
             p_static: How much each observation counts (N,), 0 to 1: the probability that its point is static. It
                 weighs the robust cost; whether an observation is an inlier depends on its χ² alone. All 1 by default.
+            share_of_u: 1 where the third coordinate is u_right; 0 where it is −bf/z (`optimize.depth_terms`).
         """
         config = self.config
         n = len(points_world_m)
@@ -302,7 +304,7 @@ class PoseOptimizer:
             for array in (points_world_m, observed_px, weights)
         )
         likely = np.ones(n) if p_static is None else np.ascontiguousarray(p_static, dtype=np.float64)
-        seen = Seen(points, observed, variances, likely, intrinsics_of(camera))
+        seen = Seen(points, observed, variances, likely, intrinsics_of(camera, share_of_u))
         chi2, is_inlier = np.empty(n), np.empty(n, dtype=np.bool_)
         guess = np.array(T_cam_world_guess, dtype=np.float64, order="C")
         limits = config.chi2_2d, config.chi2_3d

@@ -148,14 +148,15 @@ def of_frame(seen: RowsSeen, T_cam_world: F64, velocity: F64, camera: Camera, re
     return FrameEvidence(information, slope + information @ known, speed_px_s)
 
 
-def agreed(frames: list[FrameEvidence], seed: int = 0) -> Readout:
+def agreed(frames: list[FrameEvidence], seed: int = 0, block_frames: int = BLOCK_FRAMES) -> Readout:
     """Return what frames, in order of time, agree on; there are enough for two blocks.
 
     Args:
         frames: What each says.
         seed: Of the bootstrap.
+        block_frames: Frames that see one and the same shear.
     """
-    n_blocks = len(frames) // BLOCK_FRAMES
+    n_blocks = len(frames) // block_frames
     own, information = np.array([_of_block(block) for block in _split(frames, n_blocks)]).T
     rng = np.random.default_rng(seed)
     drawn = [_mean(own[chosen], information[chosen]) for chosen in rng.integers(0, n_blocks, (DRAWS, n_blocks))]

@@ -43,7 +43,7 @@ class SeenInRows(NamedTuple):
         weights: Inverse variances (N, 3) float64 [1/px²].
         p_static: How much each counts (N,) float64, 0 to 1.
         after_s: When each was seen, from mid-frame on (N,) float64 [s].
-        intrinsics: Those of `intrinsics_of` (5,).
+        intrinsics: Those of `intrinsics_of` (6,).
         expected: The velocity expected (6,) float64 [m/s, rad/s].
         information: Inverse variances of that (6,) float64.
     """
@@ -243,6 +243,7 @@ class RollingPoseOptimizer:
         after_s: Floats,
         camera: Camera,
         p_static: Floats | None = None,
+        share_of_u: float = 1.0,
     ) -> RollingPoseEstimate:
         """Optimise both and classify every observation; otherwise as `PoseOptimizer`.
 
@@ -255,6 +256,7 @@ class RollingPoseOptimizer:
             after_s: When each was seen, from mid-frame on (N,) [s].
             camera: Intrinsics and bf.
             p_static: How much each observation counts (N,), 0 to 1; all 1 by default.
+            share_of_u: 1 where the third coordinate is u_right; 0 where it is −bf/z (`optimize.depth_terms`).
         """
         config, n = self.config, len(points_world_m)
         points, observed, variances = (
@@ -263,9 +265,8 @@ class RollingPoseOptimizer:
         )
         likely = np.ones(n) if p_static is None else np.ascontiguousarray(p_static, dtype=np.float64)
         times_s, velocity = np.ascontiguousarray(after_s, dtype=np.float64), np.array(expected, dtype=np.float64)
-        seen = SeenInRows(
-            points, observed, variances, likely, times_s, intrinsics_of(camera), velocity, self._information
-        )
+        intrinsics = intrinsics_of(camera, share_of_u)
+        seen = SeenInRows(points, observed, variances, likely, times_s, intrinsics, velocity, self._information)
         chi2, is_inlier = np.empty(n), np.empty(n, dtype=np.bool_)
         start = np.array(guess, dtype=np.float64, order="C")
         limits = config.chi2_2d, config.chi2_3d

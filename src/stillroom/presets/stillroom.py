@@ -3,8 +3,9 @@
 Boxes and clusters, each judged over more than one image by epipolar lines and a history of depth, are those of
 `oc-slam`. Beside them, each frame has a velocity, found with its pose from the times at which the rows of its image
 were read (`optimize/rolling_pose.py`; only for cameras whose `readout_s` is known), depth counts as much as structured
-light deserves, nothing is evidence for motion while the camera turns fast, and the poses of all frames become one
-estimate under a prior of smooth motion (`optimize/trajectory_prior.py`).
+light deserves and is that of the image's own time (`tracking/depth_clock.py`), nothing is evidence for motion while the
+camera turns fast, and the poses of all frames become one estimate under a prior of smooth motion
+(`optimize/trajectory_prior.py`).
 """
 
 from dataclasses import replace
@@ -21,6 +22,7 @@ from stillroom.tracking.shutter import ROLLING, DepthNoiseConfig
 _OC_SLAM = oc_slam.METHOD.config
 RIGHT_SIGMA = 0.5
 """How well a Kinect's disparity is known; of 1, ½, ¼ and 1/6 the best on a rendered room and on freiburg1_xyz."""
+DEPTH = DepthNoiseConfig(right_sigma=RIGHT_SIGMA, in_time=True)
 
 METHOD = Method(
     name="stillroom",
@@ -29,7 +31,7 @@ METHOD = Method(
         _OC_SLAM,
         method="stillroom",
         dynamics=ClusterSieveConfig(max_turn_rad_s=0.5),
-        tracking=replace(_OC_SLAM.tracking, shutter=ROLLING, depth=DepthNoiseConfig(right_sigma=RIGHT_SIGMA)),
+        tracking=replace(_OC_SLAM.tracking, shutter=ROLLING, depth=DEPTH),
         mapping=LocalMapperConfig(
             bundle=BundleConfig(right_sigma=RIGHT_SIGMA),
             looped_bundle=BundleConfig(first_damping=1e-8, right_sigma=RIGHT_SIGMA),

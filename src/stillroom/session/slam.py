@@ -293,7 +293,7 @@ class Slam:
                 f"{where}: rgb is {image.rgb.dtype} {image.rgb.shape}; the camera's images are uint8 {(*size, 3)}"
             )
         if image.depth_m.dtype != np.float32 or image.depth_m.shape != size:
-            hint = f": divide a sensor's units by {self.camera.depth_factor:g}, as float32"
+            hint = f": divide a sensor's units by {self.camera.units_per_m:g}, as float32"
             raise FrameError(
                 f"{where}: depth_m is {image.depth_m.dtype} {image.depth_m.shape}; it must be float32 {size} in metres"
                 + (hint if image.depth_m.dtype.kind in "iu" else "")

@@ -11,7 +11,9 @@ from stillroom.data.map import Map
 from stillroom.data.matches import Matches
 from stillroom.geometry import se3, twists
 from stillroom.geometry.arrays import F32, F64, Bool
+from stillroom.geometry.camera import Camera
 from stillroom.optimize import observations
+from stillroom.optimize.depth_terms import MODELS, RIGHT, DepthTerms, RightCoordinate, Terms, depth_terms
 from stillroom.optimize.observations import intrinsics_of
 from stillroom.optimize.pose import PoseOptimizerConfig
 from stillroom.optimize.rolling_pose import RollingPoseOptimizer, at_mid_frame
@@ -54,7 +56,7 @@ class PoseFit(Protocol):
         """Return the velocity (6,) [m/s, rad/s] expected at a guess (4, 4) of the pose; None where none matters."""
 
     def fit(
-        self, frame: Frame, guess: F64, matches: Matches, world: Map, p_static: F32 | None, right_sigma: float
+        self, frame: Frame, guess: F64, matches: Matches, world: Map, p_static: F32 | None, depth: DepthTerms
     ) -> Fitted:
         """Return the pose near a guess (4, 4).
 
@@ -64,7 +66,7 @@ class PoseFit(Protocol):
             matches: Its pairs with map points.
             world: The map.
             p_static: Weights of its keypoints (N,); None for 1.
-            right_sigma: Standard deviation of right coordinates, as a share of that of the left ones.
+            depth: How much depth counts.
         """
 
     def at_mid_frame(self, frame: Frame, velocity: F64 | None) -> Frame:
@@ -83,18 +85,18 @@ class GlobalShutter:
         return
 
     def fit(
-        self, frame: Frame, guess: F64, matches: Matches, world: Map, p_static: F32 | None, right_sigma: float
+        self, frame: Frame, guess: F64, matches: Matches, world: Map, p_static: F32 | None, depth: DepthTerms
     ) -> Fitted:
         """Return the pose."""
-        kp = frame.keypoints
-        right_px = kp.right_px[matches.keypoint]
+        terms = terms_of(frame, matches, depth)
         estimate = self._optimize(
             guess,
             world.points.position_m[matches.point_id],
-            observations.observed_px(kp.px[matches.keypoint], right_px),
-            weights_of(frame, matches, right_sigma),
+            terms.observed_px,
+            terms.weights,
             frame.camera,
             None if p_static is None else p_static[matches.keypoint],
+            terms.intrinsics[5],
         )
         return Fitted(estimate.T_cam_world, estimate.is_inlier, None)
 
@@ -110,11 +112,28 @@ class DepthNoiseConfig:
     Attributes:
         right_sigma: Standard deviation of the right coordinate that stands for a depth, as a share of that of the left
             one. ORB-SLAM2 has 1; structured light measures disparity better than that.
-        max_turn_rad_s: While the camera turns faster, it is 1: depth lags behind colour.
+        model: right, depth counts by that alone; or sensor, by the noise of the camera's sensor where that is known,
+            with `right_sigma` as the least (`optimize.depth_terms`).
+        max_turn_rad_s: While the camera turns faster, or nobody knows how fast, depth counts as in ORB-SLAM2: it lags
+            behind colour.
+        in_time: Whether keypoints get the depth of their own image's time where depth was taken at another, by the
+            stamps of both (`tracking.depth_clock`). Where the camera has a `depth_offset_s`, they do in any case.
     """
 
     right_sigma: float = bounded(1.0, above=0)
+    model: str = bounded(RIGHT, one_of=MODELS)
     max_turn_rad_s: float = bounded(0.5, above=0)
+    in_time: bool = False
+
+    def after_s(self, frame: Frame) -> float:
+        """Return how long after a frame its depth was taken [s], where that is to be corrected; else 0."""
+        return frame.image.depth_after_s if self.in_time or frame.camera.depth_offset_s != 0.0 else 0.0
+
+    def terms(self, turn_rad_s: float, camera: Camera) -> DepthTerms:
+        """Return how much depth counts while a camera turns [rad/s]."""
+        if turn_rad_s > self.max_turn_rad_s:
+            return RightCoordinate()
+        return depth_terms(self.model, self.right_sigma, camera)
 
 
 @dataclass(frozen=True)
@@ -144,20 +163,20 @@ class RollingShutter:
         return expected_velocity(guess, before)
 
     def fit(
-        self, frame: Frame, guess: F64, matches: Matches, world: Map, p_static: F32 | None, right_sigma: float
+        self, frame: Frame, guess: F64, matches: Matches, world: Map, p_static: F32 | None, depth: DepthTerms
     ) -> Fitted:
         """Return the pose, and how far the velocity differs from the one that was expected."""
-        kp = frame.keypoints
-        right_px = kp.right_px[matches.keypoint]
+        terms = terms_of(frame, matches, depth)
         estimate = self._optimize(
             guess,
             np.zeros(6),
             world.points.position_m[matches.point_id],
-            observations.observed_px(kp.px[matches.keypoint], right_px),
-            weights_of(frame, matches, right_sigma),
-            frame.camera.rows_after_s(kp.raw_px[matches.keypoint, 1]),
+            terms.observed_px,
+            terms.weights,
+            frame.camera.rows_after_s(frame.keypoints.raw_px[matches.keypoint, 1]),
             frame.camera,
             None if p_static is None else p_static[matches.keypoint],
+            terms.intrinsics[5],
         )
         return Fitted(estimate.T_cam_world, estimate.is_inlier, estimate.velocity)
 
@@ -174,19 +193,18 @@ class RollingShutter:
         return replace(frame, keypoints=moved)
 
 
-def weights_of(frame: Frame, matches: Matches, right_sigma: float) -> F64:
-    """Return the inverse variances (M, 3) [1/px²] of matched keypoints."""
+def terms_of(frame: Frame, matches: Matches, depth: DepthTerms) -> Terms:
+    """Return the terms of matched keypoints (M)."""
     kp = frame.keypoints
     octave, right_px = kp.octave[matches.keypoint], kp.right_px[matches.keypoint]
-    weights: F64 = observations.weights(octave, right_px, frame.scales.inverse_variances)
-    weights[:, 2] /= right_sigma**2
-    return weights
+    observed_px = observations.observed_px(kp.px[matches.keypoint], right_px)
+    return depth(observed_px, observations.weights(octave, right_px, frame.scales.inverse_variances), frame.camera)
 
 
 def turn_rad_s(guess: F64, before: Before | None) -> float:
-    """Return how fast the camera turns from the frame before to a guess (4, 4) [rad/s]; 0 where there is none."""
+    """Return how fast the camera turns from the frame before to a guess (4, 4) [rad/s]; infinite where unknown."""
     if before is None or not before.ago_s > 0.0:
-        return 0.0
+        return float("inf")
     return float(se3.angle_rad(guess @ before.T_world_cam)) / before.ago_s
 
 

@@ -17,6 +17,7 @@ from stillroom.geometry.arrays import F64, I32
 from stillroom.optimize.pose import PoseOptimizerConfig
 from stillroom.protocols import KeypointSieve, MatchSieve, Parts, Pending, QuickTracking
 from stillroom.tracking import correspondences
+from stillroom.tracking.depth_clock import with_depth_in_time
 from stillroom.tracking.flow_tracking import FlowConfig, FlowTracking, KeyframeRule, OrbAlways
 from stillroom.tracking.low_cost import NoLowCost
 from stillroom.tracking.shutter import (
@@ -28,6 +29,7 @@ from stillroom.tracking.shutter import (
     PoseFit,
     RollingShutter,
     RollingShutterConfig,
+    expected_velocity,
     turn_rad_s,
 )
 
@@ -202,12 +204,14 @@ class Tracker:
         fix = None
         if last is not None and last.T_world_cam is not None and self._velocity.is_known:
             guess = self._velocity.predict(last.T_world_cam)
-            moved = self._pose.at_mid_frame(frame, self._pose.expected(guess, self._before(frame, world)))
+            moved = self._in_time(frame, guess, world)
             guess = self.quick.localize(moved, last, guess, semantics, world)  # low-cost tracking, where there is any
             fix = self._with_motion_model(moved, last, guess, semantics, world)
             frame = frame if fix is None else moved  # a guess that failed says nothing of the rows
         if fix is None and last is not None:
             fix = self._with_reference_keyframe(frame, last, semantics, world)
+            if fix is not None:
+                frame = self._with_depth_in_time(frame, fix.T_cam_world, world)
         if fix is None or last is None:
             return _lost(frame, self._reference)
         frame = self._pose.at_mid_frame(frame, fix.velocity)
@@ -278,7 +282,7 @@ class Tracker:
             semantics: What is potentially dynamic in it.
             world: The map.
         """
-        frame = self._pose.at_mid_frame(frame, self._pose.expected(guess, self._before(frame, world)))
+        frame = self._in_time(frame, guess, world)
         usable = Matches.of(np.where(frame.is_static, point_ids, np.int32(-1)))
         unasked = Motion.none(len(frame), frame.image.height, frame.image.width)
         fix = self._fix(frame, guess, usable, unasked, world)
@@ -324,6 +328,17 @@ class Tracker:
         T_world_last: F64 = world.keyframe_pose(self._last.reference_keyframe) @ self._T_reference_last
         return T_world_last
 
+    def _in_time(self, frame: Frame, guess: F64, world: Map) -> Frame:
+        """Return a frame with its keypoints where, and at the depth that, they are expected to have at mid-frame."""
+        moved = self._pose.at_mid_frame(frame, self._pose.expected(guess, self._before(frame, world)))
+        return self._with_depth_in_time(moved, guess, world)
+
+    def _with_depth_in_time(self, frame: Frame, T_cam_world: F64, world: Map) -> Frame:
+        after_s = self.config.depth.after_s(frame)
+        if after_s == 0.0:
+            return frame
+        return with_depth_in_time(frame, after_s, expected_velocity(T_cam_world, self._before(frame, world)))
+
     def _before(self, frame: Frame, world: Map) -> Before | None:
         """Return the frame before this one, as known now."""
         T_world_last = self._last_pose_as_known_now(world)
@@ -354,7 +369,8 @@ class Tracker:
         matches = matches.keep(motion.is_static[matches.keypoint])
         if len(matches) < self.config.min_keyframe_matches:
             return None
-        fix = self._fix(frame, guess, matches, motion, world)
+        # The guess is the last pose, which says nothing of how fast the camera turns.
+        fix = self._fix(frame, guess, matches, motion, world, tells_turn=False)
         return fix if fix.n_inliers >= self.config.min_coarse_inliers else None
 
     def _with_local_map(
@@ -394,11 +410,13 @@ class Tracker:
         """Whether the camera was lost less than a second ago."""
         return self._frames_since_recovery < 30
 
-    def _fix(self, frame: Frame, guess: F64, matches: Matches, motion: Motion, world: Map) -> _Fix:
-        """Optimise the pose over the matches and return it with its inliers."""
-        depth, turn = self.config.depth, turn_rad_s(guess, self._before(frame, world))
-        right_sigma = depth.right_sigma if turn <= depth.max_turn_rad_s else 1.0
-        fitted = self._pose.fit(frame, guess, matches, world, motion.p_static, right_sigma)
+    def _fix(
+        self, frame: Frame, guess: F64, matches: Matches, motion: Motion, world: Map, *, tells_turn: bool = True
+    ) -> _Fix:
+        """Optimise the pose over the matches and return it with its inliers; the guess may tell how fast it turns."""
+        turn = turn_rad_s(guess, self._before(frame, world) if tells_turn else None)
+        depth = self.config.depth.terms(turn, frame.camera)
+        fitted = self._pose.fit(frame, guess, matches, world, motion.p_static, depth)
         point_ids = np.full(len(frame), -1, dtype=np.int32)
         inlier = fitted.is_inlier
         point_ids[matches.keypoint[inlier]] = matches.point_id[inlier]

@@ -36,6 +36,7 @@ from stillroom.geometry.arrays import F32, F64, U8
 from stillroom.geometry.camera import Camera
 from stillroom.geometry.pixels import WIDE_PX
 from stillroom.optimize.bundle_kernels import Blocks, Order
+from stillroom.optimize.depth_offset import REACH_PX, disparity_planes
 from stillroom.optimize.reduced_system import SparseSystem
 from stillroom.protocols import MatchSieve, Parts
 from stillroom.semantics.depth_clusters import DepthClustersConfig
@@ -147,11 +148,13 @@ def track() -> System:
 
 
 def roll() -> None:
-    """Track the scene as if its rows had been read one after the other."""
+    """Track the scene as if its rows had been read one after the other, and depth before them; compare both."""
     rolling = SlamConfig(tracking=TrackerConfig(shutter=ROLLING))
-    system = build(rolling, replace(CAMERA, readout_s=READOUT_S))
+    camera = replace(CAMERA, readout_s=READOUT_S, depth_offset_s=-READOUT_S)
+    system = build(rolling, camera)
     for image in islice(images(), N_ROLLED):
-        system.process(image)
+        system.process(replace(image, depth_after_s=camera.depth_offset_s))
+        disparity_planes(np.full((1, 2), 200.0), image.depth_m, camera.lens, camera.bf, REACH_PX)
     system.close()
 
 

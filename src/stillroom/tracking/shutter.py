@@ -6,15 +6,18 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from stillroom.bounds import bounded
-from stillroom.data.frame import Frame
+from stillroom.data.frame import Frame, Keypoints
 from stillroom.data.map import Map
 from stillroom.data.matches import Matches
+from stillroom.data.result import Tracked
 from stillroom.geometry import se3, twists
 from stillroom.geometry.arrays import F32, F64, Bool
+from stillroom.geometry.camera import Camera
 from stillroom.optimize import observations
 from stillroom.optimize.observations import intrinsics_of
 from stillroom.optimize.pose import PoseOptimizerConfig
-from stillroom.optimize.rolling_pose import RollingPoseOptimizer, at_mid_frame
+from stillroom.optimize.rolling_pose import RollingPoseOptimizer, SeenInRows, at_mid_frame, linearize_rows
+from stillroom.tracking.readout_check import ReadoutCheck, Rows, RowsFound
 
 GLOBAL, ROLLING = "global", "rolling"
 FASTEST_TURN_RAD_S = 6.0
@@ -70,6 +73,16 @@ class PoseFit(Protocol):
     def at_mid_frame(self, frame: Frame, velocity: F64 | None) -> Frame:
         """Return a frame with its keypoints moved by a velocity (6,) to where all rows would be read at its middle."""
 
+    def learn(self, tracked: Tracked, world: Map) -> None:
+        """Take notice of a frame that was found, with the points that agree with it, before mapping sees it."""
+
+    def remember(self, tracked: Tracked, world: Map) -> None:
+        """Take notice of a frame after mapping."""
+
+    @property
+    def found(self) -> RowsFound | None:
+        """What the recording says of the camera's readout; None where nothing is asked, or known yet."""
+
 
 class GlobalShutter:
     """All rows are taken to be read at once, as in ORB-SLAM2."""
@@ -102,6 +115,17 @@ class GlobalShutter:
         """Return the frame as it is."""
         return frame
 
+    def learn(self, tracked: Tracked, world: Map) -> None:
+        """Do nothing."""
+
+    def remember(self, tracked: Tracked, world: Map) -> None:
+        """Do nothing."""
+
+    @property
+    def found(self) -> None:
+        """None."""
+        return
+
 
 @dataclass(frozen=True)
 class DepthNoiseConfig:
@@ -125,28 +149,49 @@ class RollingShutterConfig:
         turn_rad_s: How far the turn of a frame may differ from that since the last one: one standard deviation. A
             hand's tremor changes it from frame to frame.
         speed_m_s: The same of the speed. It shows in the rows as a turn does, and is known better from the poses.
+        check: Whether rows are read as one, with a warning, where the recording says that its camera's shutter is a
+            global one after all; see `tracking.readout_check`.
     """
 
     turn_rad_s: float = bounded(0.1, above=0)
     speed_m_s: float = bounded(0.02, above=0)
+    check: bool = True
 
 
 class RollingShutter:
-    """Rows are read one after the other: pose and velocity of a frame are found together."""
+    """Rows are read one after the other: pose and velocity of a frame are found together.
 
-    def __init__(self, config: RollingShutterConfig, pose: PoseOptimizerConfig) -> None:
-        """Store what is expected."""
+    Unless the recording says that they are read at once, from when on all rows are.
+    """
+
+    def __init__(self, config: RollingShutterConfig, pose: PoseOptimizerConfig, readout_s: float) -> None:
+        """Store what is expected, and the readout of the camera [s]."""
         deviations = np.repeat((config.speed_m_s, config.turn_rad_s), 3)
         self._optimize = RollingPoseOptimizer(pose, deviations**-2.0)
+        self._as_one = GlobalShutter(pose)
+        self._check = ReadoutCheck(readout_s) if config.check else None
+        self._limits = pose.chi2_2d, pose.chi2_3d
+        self._moved: dict[int, Keypoints] = {}
 
-    def expected(self, guess: F64, before: Before | None) -> F64:
-        """Return the velocity that leads from the frame before to the guess."""
-        return expected_velocity(guess, before)
+    @property
+    def found(self) -> RowsFound | None:
+        """What the recording says of the camera's readout; None where nothing is asked, or known yet."""
+        return None if self._check is None else self._check.found
+
+    @property
+    def _is_global(self) -> bool:
+        return self._check is not None and self._check.as_one
+
+    def expected(self, guess: F64, before: Before | None) -> F64 | None:
+        """Return the velocity that leads from the frame before to the guess; None where rows are read as one."""
+        return None if self._is_global else expected_velocity(guess, before)
 
     def fit(
         self, frame: Frame, guess: F64, matches: Matches, world: Map, p_static: F32 | None, right_sigma: float
     ) -> Fitted:
         """Return the pose, and how far the velocity differs from the one that was expected."""
+        if self._is_global:
+            return self._as_one.fit(frame, guess, matches, world, p_static, right_sigma)
         kp = frame.keypoints
         right_px = kp.right_px[matches.keypoint]
         estimate = self._optimize(
@@ -171,7 +216,54 @@ class RollingShutter:
         after_s = camera.rows_after_s(kp.raw_px[:, 1])
         px = at_mid_frame(kp.px, kp.depth_m, typical_m, after_s, velocity, intrinsics_of(camera)).astype(np.float32)
         moved = replace(kp, px=px, right_px=camera.right_coordinate(px[:, 0], kp.depth_m))
-        return replace(frame, keypoints=moved)
+        so_far = velocity if frame.velocity is None else frame.velocity + velocity
+        return replace(frame, keypoints=moved, velocity=so_far)
+
+    def learn(self, tracked: Tracked, world: Map) -> None:
+        """Ask the rows of a frame when they were read; where they say at once, put keyframes back as they were."""
+        if self._check is None or tracked.T_world_cam is None:
+            return
+        if self._check.add(_rows_of(tracked, world, self._limits)) and self._check.as_one:
+            for keyframe, keypoints in self._moved.items():
+                _put_back(keyframe, keypoints, tracked.frame.camera, world)
+            self._moved.clear()
+
+    def remember(self, tracked: Tracked, world: Map) -> None:
+        """Keep a keyframe whose keypoints were moved, as long as that may have been wrong."""
+        if self._check is None or tracked.T_world_cam is None or tracked.frame.velocity is None:
+            return
+        if self._check.is_settled:
+            self._moved.clear()
+        elif world.keyframes.timestamp_s[tracked.reference_keyframe] == tracked.frame.timestamp_s:
+            self._moved[tracked.reference_keyframe] = tracked.frame.keypoints
+
+
+def _rows_of(tracked: Tracked, world: Map, limits: tuple[float, float]) -> Rows:
+    """Return the equations of a frame's pose and of the twist of its rows, at its pose."""
+    frame, matches = tracked.frame, Matches.of(tracked.point_ids)
+    assert tracked.T_world_cam is not None
+    kp, camera, n = frame.keypoints, frame.camera, len(matches)
+    H, b = np.empty((12, 12)), np.empty(12)
+    seen = SeenInRows(
+        world.points.position_m[matches.point_id],
+        observations.observed_px(kp.px[matches.keypoint], kp.right_px[matches.keypoint]),
+        weights_of(frame, matches, 1.0),
+        np.ones(n),
+        (kp.raw_px[matches.keypoint, 1].astype(np.float64) + 0.5) / camera.height - 0.5,
+        intrinsics_of(camera),
+        np.zeros(6),
+        np.zeros(6),
+    )
+    linearize_rows(se3.inverse(tracked.T_world_cam), np.zeros(6), seen, np.ones(n, dtype=np.bool_), limits, H, b)
+    moved_with = np.zeros(6) if frame.velocity is None else camera.readout_s * frame.velocity
+    return Rows(frame.timestamp_s, tracked.T_world_cam, len(world.jumps), H, b, moved_with)
+
+
+def _put_back(keyframe: int, keypoints: Keypoints, camera: Camera, world: Map) -> None:
+    """Put the keypoints of a keyframe back to where they were seen, in the map."""
+    rows, px = world.rows(keyframe), camera.undistort(keypoints.raw_px)
+    world.keypoints.px[rows] = px
+    world.keypoints.right_px[rows] = camera.right_coordinate(px[:, 0], keypoints.depth_m)
 
 
 def weights_of(frame: Frame, matches: Matches, right_sigma: float) -> F64:

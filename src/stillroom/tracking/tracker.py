@@ -19,6 +19,7 @@ from stillroom.protocols import KeypointSieve, MatchSieve, Parts, Pending, Quick
 from stillroom.tracking import correspondences
 from stillroom.tracking.flow_tracking import FlowConfig, FlowTracking, KeyframeRule, OrbAlways
 from stillroom.tracking.low_cost import NoLowCost
+from stillroom.tracking.readout_check import RowsFound
 from stillroom.tracking.shutter import (
     GLOBAL,
     ROLLING,
@@ -150,7 +151,8 @@ class TrackerConfig:
     def build(self, parts: Parts, sieve: MatchSieve, quick: QuickTracking | None = None) -> "Tracker":
         """Return a tracker that calls the sieve, and starts from the pose of low-cost tracking where there is one."""
         rolls = self.shutter == ROLLING and parts.camera.readout_s > 0.0
-        pose = RollingShutter(self.rolling, self.pose) if rolls else GlobalShutter(self.pose)
+        readout_s = parts.camera.readout_s
+        pose = RollingShutter(self.rolling, self.pose, readout_s) if rolls else GlobalShutter(self.pose)
         return Tracker(self, sieve, quick or NoLowCost(), pose)
 
     def build_flow(
@@ -292,10 +294,13 @@ class Tracker:
         world.points.n_visible[matches.point_id] += 1
         world.points.n_found[fix.point_ids[fix.point_ids >= 0]] += 1
         T_world_cam = se3.orthonormalize(se3.inverse(fix.T_cam_world))
-        return Tracked(frame, TrackingState.OK, T_world_cam, fix.point_ids, motion, _alive(reference, world))
+        tracked = Tracked(frame, TrackingState.OK, T_world_cam, fix.point_ids, motion, _alive(reference, world))
+        self._pose.learn(tracked, world)
+        return tracked
 
     def remember(self, tracked: Tracked, world: Map) -> None:
         """Store the result of a frame, after mapping, for the next one."""
+        self._pose.remember(tracked, world)
         if tracked.T_world_cam is None:
             self._velocity.forget()
             self._last, self._T_reference_last = None, None
@@ -306,6 +311,11 @@ class Tracker:
         self._frames_since_recovery = 0 if tracked.recovered else self._frames_since_recovery + 1
         self._last = tracked
         self._T_reference_last = se3.inverse(world.keyframe_pose(tracked.reference_keyframe)) @ tracked.T_world_cam
+
+    @property
+    def rows(self) -> RowsFound | None:
+        """What the recording says of the camera's readout; None where nothing is asked, or known yet."""
+        return self._pose.found
 
     @property
     def _reference(self) -> int:
@@ -377,7 +387,7 @@ class Tracker:
         world.points.n_found[inliers] += 1
         if len(inliers) < self._inliers_needed():
             return _lost(frame, surroundings.reference, motion)
-        return Tracked(
+        tracked = Tracked(
             self._pose.at_mid_frame(frame, refined.velocity),
             TrackingState.OK,
             se3.orthonormalize(se3.inverse(refined.T_cam_world)),
@@ -385,6 +395,8 @@ class Tracker:
             motion,
             surroundings.reference,
         )
+        self._pose.learn(tracked, world)
+        return tracked
 
     def _inliers_needed(self) -> int:
         return self.config.min_inliers_recovered if self._is_recovering else self.config.min_inliers

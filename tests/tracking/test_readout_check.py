@@ -64,9 +64,7 @@ class Tracking:
         inliers[matches.keypoint[fitted.is_inlier]] = matches.point_id[fitted.is_inlier]
         self.before = se3.inverse(fitted.T_cam_world)
         motion = Motion.none(len(frame), CAMERA.height, CAMERA.width)
-        tracked = Tracked(frame, TrackingState.OK, self.before, inliers, motion, 0)
-        self.shutter.learn(tracked, self.small.map)
-        return tracked
+        return self.shutter.learn(Tracked(frame, TrackingState.OK, self.before, inliers, motion, 0), self.small.map)
 
     def run(self) -> RowsFound:
         for k in range(1, N_FRAMES):
@@ -105,19 +103,41 @@ def test_rows_read_as_one_are_a_global_shutter_to_the_byte() -> None:
     assert ours.T_cam_world.tobytes() == other.T_cam_world.tobytes()
 
 
-def test_keyframes_that_were_moved_are_put_back() -> None:
+def test_what_was_found_before_the_verdict_is_found_again() -> None:
+    """Keyframes, the points that they made of their depth, and frames: as with a camera file that says 0."""
     tracking = Tracking(0.0)
     world = tracking.small.map
     tracked = tracking.track(1)
     assert tracked.frame.velocity is not None
-    keyframe = world.add_keyframe(tracked.frame, tracking.before, tracked.point_ids, tracked.frame.is_static, 0)
-    tracking.shutter.remember(replace(tracked, reference_keyframe=keyframe), world)
-    rows, (as_taken, _) = world.rows(keyframe), look(1, 0.0)
-    assert np.abs(world.keypoints.px[rows] - as_taken.keypoints.px).max() > 0.2
-    for k in range(2, N_FRAMES):
-        tracking.track(k)
-    np.testing.assert_array_equal(world.keypoints.px[rows], as_taken.keypoints.px)
-    np.testing.assert_array_equal(world.keypoints.right_px[rows], as_taken.keypoints.right_px)
+    askew = se3.exp(np.full(6, 0.002)) @ tracking.before
+    keyframe = world.add_keyframe(tracked.frame, askew, tracked.point_ids, tracked.frame.is_static, 0)
+    rows, (taken, seen) = world.rows(keyframe), look(1, 0.0)
+    free = np.flatnonzero(world.points_of(keyframe) < 0)
+    new = world.add_points(np.zeros((len(free), 3)), rows.start + free)
+    tracking.shutter.remember(replace(tracked, T_world_cam=askew, reference_keyframe=keyframe), world)
+    assert np.abs(world.keypoints.px[rows] - taken.keypoints.px).max() > 0.2
+
+    again: dict[int, np.ndarray] = {}
+    decided = 1
+    while not again:
+        decided += 1
+        tracked = tracking.track(decided)
+        again = tracking.shutter.found_again()
+    assert sorted(again) == list(range(1, decided))
+    assert not tracking.shutter.found_again(), "each is given once"
+    assert tracked.frame.velocity is None, "the frame of the verdict is found again at once"
+    np.testing.assert_array_equal(tracked.frame.keypoints.px, look(decided, 0.0)[0].keypoints.px)
+    np.testing.assert_array_equal(world.keypoints.px[rows], taken.keypoints.px)
+    np.testing.assert_array_equal(world.keypoints.right_px[rows], taken.keypoints.right_px)
+    np.testing.assert_array_equal(world.keyframes.T_world_cam[keyframe], again[1])
+    assert len(new) > 5
+    assert np.abs(world.points.position_m[new] - WORLD.points_m[seen[free]]).max() < 0.02
+    other = GlobalShutter(PoseOptimizerConfig())
+    for k, T_world_cam in again.items():
+        frame, seen = look(k, 0.0)
+        matches = Matches.of(tracking.small.id_of[seen])
+        T = other.fit(frame, se3.inverse(where(k / 30.0)), matches, world, None, 1.0).T_cam_world
+        assert np.abs(T @ T_world_cam - np.eye(4)).max() < 5e-4
 
 
 def rows_at(time_s: float, T_world_cam: np.ndarray, n_jumps: int = 0) -> Rows:

@@ -6,18 +6,18 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from stillroom.bounds import bounded
-from stillroom.data.frame import Frame, Keypoints
+from stillroom.data.frame import Frame
 from stillroom.data.map import Map
 from stillroom.data.matches import Matches
 from stillroom.data.result import Tracked
 from stillroom.geometry import se3, twists
 from stillroom.geometry.arrays import F32, F64, Bool
-from stillroom.geometry.camera import Camera
 from stillroom.optimize import observations
 from stillroom.optimize.observations import intrinsics_of
 from stillroom.optimize.pose import PoseOptimizerConfig
 from stillroom.optimize.rolling_pose import RollingPoseOptimizer, SeenInRows, at_mid_frame, linearize_rows
 from stillroom.tracking.readout_check import ReadoutCheck, Rows, RowsFound
+from stillroom.tracking.undecided import Undecided, as_taken
 
 GLOBAL, ROLLING = "global", "rolling"
 FASTEST_TURN_RAD_S = 6.0
@@ -73,8 +73,8 @@ class PoseFit(Protocol):
     def at_mid_frame(self, frame: Frame, velocity: F64 | None) -> Frame:
         """Return a frame with its keypoints moved by a velocity (6,) to where all rows would be read at its middle."""
 
-    def learn(self, tracked: Tracked, world: Map) -> None:
-        """Take notice of a frame that was found, with the points that agree with it, before mapping sees it."""
+    def learn(self, tracked: Tracked, world: Map) -> Tracked:
+        """Take notice of a frame that was found, before mapping sees it; return it, as it is found now."""
 
     def remember(self, tracked: Tracked, world: Map) -> None:
         """Take notice of a frame after mapping."""
@@ -82,6 +82,9 @@ class PoseFit(Protocol):
     @property
     def found(self) -> RowsFound | None:
         """What the recording says of the camera's readout; None where nothing is asked, or known yet."""
+
+    def found_again(self) -> dict[int, F64]:
+        """Return poses `T_world_cam` (4, 4) of earlier images that changed since the last call, by image index."""
 
 
 class GlobalShutter:
@@ -115,8 +118,9 @@ class GlobalShutter:
         """Return the frame as it is."""
         return frame
 
-    def learn(self, tracked: Tracked, world: Map) -> None:
-        """Do nothing."""
+    def learn(self, tracked: Tracked, world: Map) -> Tracked:
+        """Return the frame."""
+        return tracked
 
     def remember(self, tracked: Tracked, world: Map) -> None:
         """Do nothing."""
@@ -125,6 +129,10 @@ class GlobalShutter:
     def found(self) -> None:
         """None."""
         return
+
+    def found_again(self) -> dict[int, F64]:
+        """Return none."""
+        return {}
 
 
 @dataclass(frozen=True)
@@ -168,10 +176,11 @@ class RollingShutter:
         """Store what is expected, and the readout of the camera [s]."""
         deviations = np.repeat((config.speed_m_s, config.turn_rad_s), 3)
         self._optimize = RollingPoseOptimizer(pose, deviations**-2.0)
-        self._as_one = GlobalShutter(pose)
+        self._as_one, self._optimize_as_one = GlobalShutter(pose), pose.build()
         self._check = ReadoutCheck(readout_s) if config.check else None
         self._limits = pose.chi2_2d, pose.chi2_3d
-        self._moved: dict[int, Keypoints] = {}
+        self._undecided, self._found_again = Undecided(), dict[int, F64]()
+        self._right_sigma = 1.0  # of the last pose
 
     @property
     def found(self) -> RowsFound | None:
@@ -190,6 +199,7 @@ class RollingShutter:
         self, frame: Frame, guess: F64, matches: Matches, world: Map, p_static: F32 | None, right_sigma: float
     ) -> Fitted:
         """Return the pose, and how far the velocity differs from the one that was expected."""
+        self._right_sigma = right_sigma
         if self._is_global:
             return self._as_one.fit(frame, guess, matches, world, p_static, right_sigma)
         kp = frame.keypoints
@@ -219,29 +229,39 @@ class RollingShutter:
         so_far = velocity if frame.velocity is None else frame.velocity + velocity
         return replace(frame, keypoints=moved, velocity=so_far)
 
-    def learn(self, tracked: Tracked, world: Map) -> None:
-        """Ask the rows of a frame when they were read; where they say at once, put keyframes back as they were."""
-        if self._check is None or tracked.T_world_cam is None:
-            return
-        if self._check.add(_rows_of(tracked, world, self._limits)) and self._check.as_one:
-            for keyframe, keypoints in self._moved.items():
-                _put_back(keyframe, keypoints, tracked.frame.camera, world)
-            self._moved.clear()
+    def learn(self, tracked: Tracked, world: Map) -> Tracked:
+        """Ask the rows of a frame when they were read; where they say at once, find the frames until now again."""
+        check, frame = self._check, tracked.frame
+        if check is None or tracked.T_world_cam is None:
+            return tracked
+        was_as_one, matches = check.as_one, Matches.of(tracked.point_ids)
+        check.add(_rows_of(tracked, matches, world, self._limits))
+        if check.is_settled or was_as_one:
+            self._undecided.clear()
+            return tracked
+        self._undecided.add(tracked, weights_of(frame, matches, self._right_sigma))
+        if not check.as_one:
+            return tracked
+        self._found_again = self._undecided.found_again(self._optimize_as_one, frame.camera, world)
+        frame = replace(frame, keypoints=as_taken(frame.keypoints, frame.camera), velocity=None)
+        return replace(tracked, frame=frame, T_world_cam=self._found_again.pop(frame.image.index))
 
     def remember(self, tracked: Tracked, world: Map) -> None:
-        """Keep a keyframe whose keypoints were moved, as long as that may have been wrong."""
-        if self._check is None or tracked.T_world_cam is None or tracked.frame.velocity is None:
-            return
-        if self._check.is_settled:
-            self._moved.clear()
-        elif world.keyframes.timestamp_s[tracked.reference_keyframe] == tracked.frame.timestamp_s:
-            self._moved[tracked.reference_keyframe] = tracked.frame.keypoints
+        """Take notice of a keyframe whose keypoints were moved, as long as that may have been wrong."""
+        keyframe = tracked.reference_keyframe
+        if keyframe >= 0 and world.keyframes.timestamp_s[keyframe] == tracked.frame.timestamp_s:
+            self._undecided.became_keyframe(keyframe, tracked)
+
+    def found_again(self) -> dict[int, F64]:
+        """Return poses `T_world_cam` (4, 4) of earlier images that changed since the last call, by image index."""
+        found, self._found_again = self._found_again, {}
+        return found
 
 
-def _rows_of(tracked: Tracked, world: Map, limits: tuple[float, float]) -> Rows:
+def _rows_of(tracked: Tracked, matches: Matches, world: Map, limits: tuple[float, float]) -> Rows:
     """Return the equations of a frame's pose and of the twist of its rows, at its pose."""
-    frame, matches = tracked.frame, Matches.of(tracked.point_ids)
     assert tracked.T_world_cam is not None
+    frame = tracked.frame
     kp, camera, n = frame.keypoints, frame.camera, len(matches)
     H, b = np.empty((12, 12)), np.empty(12)
     seen = SeenInRows(
@@ -257,13 +277,6 @@ def _rows_of(tracked: Tracked, world: Map, limits: tuple[float, float]) -> Rows:
     linearize_rows(se3.inverse(tracked.T_world_cam), np.zeros(6), seen, np.ones(n, dtype=np.bool_), limits, H, b)
     moved_with = np.zeros(6) if frame.velocity is None else camera.readout_s * frame.velocity
     return Rows(frame.timestamp_s, tracked.T_world_cam, len(world.jumps), H, b, moved_with)
-
-
-def _put_back(keyframe: int, keypoints: Keypoints, camera: Camera, world: Map) -> None:
-    """Put the keypoints of a keyframe back to where they were seen, in the map."""
-    rows, px = world.rows(keyframe), camera.undistort(keypoints.raw_px)
-    world.keypoints.px[rows] = px
-    world.keypoints.right_px[rows] = camera.right_coordinate(px[:, 0], keypoints.depth_m)
 
 
 def weights_of(frame: Frame, matches: Matches, right_sigma: float) -> F64:

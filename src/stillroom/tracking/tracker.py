@@ -295,8 +295,7 @@ class Tracker:
         world.points.n_found[fix.point_ids[fix.point_ids >= 0]] += 1
         T_world_cam = se3.orthonormalize(se3.inverse(fix.T_cam_world))
         tracked = Tracked(frame, TrackingState.OK, T_world_cam, fix.point_ids, motion, _alive(reference, world))
-        self._pose.learn(tracked, world)
-        return tracked
+        return self._pose.learn(tracked, world)
 
     def remember(self, tracked: Tracked, world: Map) -> None:
         """Store the result of a frame, after mapping, for the next one."""
@@ -316,6 +315,10 @@ class Tracker:
     def rows(self) -> RowsFound | None:
         """What the recording says of the camera's readout; None where nothing is asked, or known yet."""
         return self._pose.found
+
+    def found_again(self) -> dict[int, F64]:
+        """Return poses `T_world_cam` (4, 4) of earlier images that changed since the last call, by image index."""
+        return self._pose.found_again()
 
     @property
     def _reference(self) -> int:
@@ -395,8 +398,7 @@ class Tracker:
             motion,
             surroundings.reference,
         )
-        self._pose.learn(tracked, world)
-        return tracked
+        return self._pose.learn(tracked, world)
 
     def _inliers_needed(self) -> int:
         return self.config.min_inliers_recovered if self._is_recovering else self.config.min_inliers

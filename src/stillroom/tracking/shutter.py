@@ -12,6 +12,7 @@ from stillroom.data.matches import Matches
 from stillroom.data.result import Tracked
 from stillroom.geometry import se3, twists
 from stillroom.geometry.arrays import F32, F64, Bool
+from stillroom.geometry.camera import Camera
 from stillroom.optimize import observations
 from stillroom.optimize.observations import intrinsics_of
 from stillroom.optimize.pose import PoseOptimizerConfig
@@ -83,8 +84,11 @@ class PoseFit(Protocol):
     def found(self) -> RowsFound | None:
         """What the recording says of the camera's readout; None where nothing is asked, or known yet."""
 
-    def found_again(self) -> dict[int, F64]:
-        """Return poses `T_world_cam` (4, 4) of earlier images that changed since the last call, by image index."""
+    def put_back(self) -> list[int]:
+        """Return keyframes whose keypoints were put back to where they were seen since the last call."""
+
+    def found_again(self, world: Map) -> dict[int, F64]:
+        """Find earlier images again where there is reason to; return their `T_world_cam` (4, 4) by image index."""
 
 
 class GlobalShutter:
@@ -130,7 +134,11 @@ class GlobalShutter:
         """None."""
         return
 
-    def found_again(self) -> dict[int, F64]:
+    def put_back(self) -> list[int]:
+        """Return none."""
+        return []
+
+    def found_again(self, world: Map) -> dict[int, F64]:
         """Return none."""
         return {}
 
@@ -179,7 +187,8 @@ class RollingShutter:
         self._as_one, self._optimize_as_one = GlobalShutter(pose), pose.build()
         self._check = ReadoutCheck(readout_s) if config.check else None
         self._limits = pose.chi2_2d, pose.chi2_3d
-        self._undecided, self._found_again = Undecided(), dict[int, F64]()
+        self._undecided, self._put_back = Undecided(), list[int]()
+        self._decided: Camera | None = None  # since the last frame, for this camera
         self._right_sigma = 1.0  # of the last pose
 
     @property
@@ -242,9 +251,12 @@ class RollingShutter:
         self._undecided.add(tracked, weights_of(frame, matches, self._right_sigma))
         if not check.as_one:
             return tracked
-        self._found_again = self._undecided.found_again(self._optimize_as_one, frame.camera, world)
+        self._decided = frame.camera
+        self._put_back = self._undecided.put_back(self._optimize_as_one, frame.camera, world)
         frame = replace(frame, keypoints=as_taken(frame.keypoints, frame.camera), velocity=None)
-        return replace(tracked, frame=frame, T_world_cam=self._found_again.pop(frame.image.index))
+        guess = se3.inverse(tracked.T_world_cam)
+        fitted = self._as_one.fit(frame, guess, matches, world, tracked.motion.p_static, self._right_sigma)
+        return replace(tracked, frame=frame, T_world_cam=se3.orthonormalize(se3.inverse(fitted.T_cam_world)))
 
     def remember(self, tracked: Tracked, world: Map) -> None:
         """Take notice of a keyframe whose keypoints were moved, as long as that may have been wrong."""
@@ -252,10 +264,15 @@ class RollingShutter:
         if keyframe >= 0 and world.keyframes.timestamp_s[keyframe] == tracked.frame.timestamp_s:
             self._undecided.became_keyframe(keyframe, tracked)
 
-    def found_again(self) -> dict[int, F64]:
-        """Return poses `T_world_cam` (4, 4) of earlier images that changed since the last call, by image index."""
-        found, self._found_again = self._found_again, {}
-        return found
+    def put_back(self) -> list[int]:
+        """Return keyframes whose keypoints were put back to where they were seen since the last call."""
+        keyframes, self._put_back = self._put_back, []
+        return keyframes
+
+    def found_again(self, world: Map) -> dict[int, F64]:
+        """Find earlier images again after the verdict; return their `T_world_cam` (4, 4) by image index."""
+        camera, self._decided = self._decided, None
+        return {} if camera is None else self._undecided.found_again(self._optimize_as_one, camera, world)
 
 
 def _rows_of(tracked: Tracked, matches: Matches, world: Map, limits: tuple[float, float]) -> Rows:

@@ -316,9 +316,13 @@ class Tracker:
         """What the recording says of the camera's readout; None where nothing is asked, or known yet."""
         return self._pose.found
 
-    def found_again(self) -> dict[int, F64]:
-        """Return poses `T_world_cam` (4, 4) of earlier images that changed since the last call, by image index."""
-        return self._pose.found_again()
+    def put_back(self) -> list[int]:
+        """Return keyframes whose keypoints were put back to where they were seen since the last call."""
+        return self._pose.put_back()
+
+    def found_again(self, world: Map) -> dict[int, F64]:
+        """Find earlier images again where there is reason to; return their `T_world_cam` (4, 4) by image index."""
+        return self._pose.found_again(world)
 
     @property
     def _reference(self) -> int:

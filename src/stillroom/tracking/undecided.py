@@ -70,29 +70,39 @@ class Undecided:
         if self._frames and self._frames[-1].index == tracked.frame.image.index:
             self._frames[-1].keyframe, self._frames[-1].keypoints = keyframe, tracked.frame.keypoints
 
+    def put_back(self, optimize: PoseOptimizer, camera: Camera, world: Map) -> list[int]:
+        """Put the keyframes among them back to what was seen, in the map; return their ids."""
+        frames = [frame for frame in self._frames if frame.keypoints is not None]
+        frames = [frame for frame in frames if world.keyframes.is_alive[frame.keyframe]]
+        for frame in frames:
+            assert frame.keypoints is not None
+            put_back(frame.keyframe, frame.keypoints, _found(frame, optimize, camera, world), camera, world)
+        return [frame.keyframe for frame in frames]
+
     def found_again(self, optimize: PoseOptimizer, camera: Camera, world: Map) -> dict[int, F64]:
-        """Find all of them again, rows read at once, and forget them; keyframes among them are put right in the map.
+        """Find all of them again, rows read at once, and forget them.
 
         Returns:
             Poses `T_world_cam` (4, 4) by the index of the image.
         """
-        found: dict[int, F64] = {}
-        for frame in self._frames:
-            ids = world.current_ids(frame.point_ids)
-            known = ids >= 0
-            estimate = optimize(
-                se3.inverse(frame.T_world_cam),
-                world.points.position_m[ids[known]],
-                frame.observed_px[known],
-                frame.weights[known],
-                camera,
-                None if frame.p_static is None else frame.p_static[known],
-            )
-            found[frame.index] = se3.orthonormalize(se3.inverse(estimate.T_cam_world))
-            if frame.keypoints is not None and world.keyframes.is_alive[frame.keyframe]:
-                put_back(frame.keyframe, frame.keypoints, found[frame.index], camera, world)
+        found = {frame.index: _found(frame, optimize, camera, world) for frame in self._frames}
         self.clear()
         return found
+
+
+def _found(frame: _Frame, optimize: PoseOptimizer, camera: Camera, world: Map) -> F64:
+    """Return the pose `T_world_cam` (4, 4) of a frame, rows read at once."""
+    ids = world.current_ids(frame.point_ids)
+    known = ids >= 0
+    estimate = optimize(
+        se3.inverse(frame.T_world_cam),
+        world.points.position_m[ids[known]],
+        frame.observed_px[known],
+        frame.weights[known],
+        camera,
+        None if frame.p_static is None else frame.p_static[known],
+    )
+    return se3.orthonormalize(se3.inverse(estimate.T_cam_world))
 
 
 def as_taken(keypoints: Keypoints, camera: Camera) -> Keypoints:

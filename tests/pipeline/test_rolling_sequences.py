@@ -1,5 +1,6 @@
 """SLAM on rendered sequences with either shutter, modelled or not."""
 
+import logging
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -51,9 +52,24 @@ def test_a_rolling_shutter_costs_much_and_modelling_it_mends_that() -> None:
     assert modelled < 2.0 * ate_m(Shutter(0.0, 0.0))
 
 
-def test_a_shutter_that_is_not_there_costs_the_noise_of_its_velocities() -> None:
-    """The readout of a global camera, given as 30 ms: velocities come out as nothing, with noise. 0.0063 for 0.0043."""
-    assert ate_m(Shutter(0.0, READOUT_S)) < 1.7 * ate_m(Shutter(0.0, 0.0))
+def test_a_shutter_that_is_not_there_costs_next_to_nothing(caplog: pytest.LogCaptureFixture) -> None:
+    """The readout of a global camera, given as 30 ms: 0.0063 m for 0.0043 while it was modelled all the same.
+
+    Five seeds have 0.0047 m (0.0044 to 0.0052) with this check and 0.0046 (0.0043 to 0.0046) with a readout of 0.
+    """
+    caplog.set_level(logging.WARNING)
+    trial.cache_clear()
+    assert ate_m(Shutter(0.0, READOUT_S)) < 1.05 * ate_m(Shutter(0.0, 0.0))
+    said = [message for message in caplog.messages if "troubleshooting: shutter" in message]
+    assert len(said) == 1
+    assert "its camera file says 30 ms: rows are read as one" in said[0]
+
+
+def test_nothing_is_said_of_a_shutter_that_is_there(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.WARNING)
+    trial.cache_clear()
+    assert ate_m(Shutter(READOUT_S, READOUT_S))
+    assert not [message for message in caplog.messages if "troubleshooting: shutter" in message]
 
 
 def test_where_the_readout_is_nothing_the_global_shutter_is_kept_to_the_byte() -> None:

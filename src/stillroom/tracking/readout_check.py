@@ -117,7 +117,7 @@ class ReadoutCheck:
         self._n_in_block, self._n_frames = self._n_in_block + 1, self._n_frames + 1
         readout_s, information = of_block([self._block])
         weight = 1.0 / (NOISE**2 / information + MODEL_S**2)
-        sums = self._sums + (1.0, weight, weight * readout_s, weight * readout_s**2)
+        sums: F64 = self._sums + np.array((1.0, weight, weight * readout_s, weight * readout_s**2))
         if self._n_in_block == BLOCK_FRAMES:
             self._sums, self._n_in_block = sums, 0
             self._block = FrameEvidence(np.zeros((7, 7)), np.zeros(7), 0.0)

@@ -11,7 +11,6 @@ from stillroom.geometry.camera import Camera
 from stillroom.loops.correction import carry_newer, follow_keyframes
 from stillroom.optimize import observations
 from stillroom.optimize.bundle import BundleAdjuster, BundleProblem, BundleResult
-from stillroom.optimize.bundle_rows import known_rows
 
 
 class GlobalBundle:
@@ -54,7 +53,6 @@ class GlobalBundle:
             observed_px=observations.observed_px(table.px[self._rows], right_px),
             weights=observations.weights(table.octave[self._rows], right_px, world.scales.inverse_variances),
             p_static=table.p_static[self._rows],
-            rows=known_rows(self._rows, involved, world),
         )
 
     def solve(self, camera: Camera, adjust: BundleAdjuster, stop: Callable[[], bool] | None = None) -> BundleResult:
@@ -67,8 +65,6 @@ class GlobalBundle:
         before = keyframes.T_world_cam.copy()
         moved = keyframes.is_alive[self._keyframes] & self._moves
         keyframes.T_world_cam[self._keyframes[moved]] = se3.inverse(result.T_cam_world[moved])
-        if result.velocity is not None:
-            keyframes.velocity[self._keyframes[moved]] = result.velocity[moved]
         carry_newer(self._n_known, before, world)
         is_other = points.is_alive.copy()
         is_other[self._points] = False

@@ -15,7 +15,6 @@ from stillroom.mapping.fusing import fuse_neighbourhood
 from stillroom.mapping.new_points import by_triangulation, from_depth
 from stillroom.optimize import observations
 from stillroom.optimize.bundle import BundleAdjuster, BundleConfig, BundleProblem, BundleResult
-from stillroom.optimize.bundle_rows import known_rows
 from stillroom.protocols import Parts
 
 # Bundle adjustment of a part of the map: a keyframe, its covisible ones and all that they see, or the whole map.
@@ -71,8 +70,6 @@ class _Part:
         points = world.points
         world.keyframes.T_world_cam[self.keyframes] = se3.inverse(result.T_cam_world[self.moved])
         points.position_m[self.point_ids] = result.points_world_m
-        if result.velocity is not None:
-            world.keyframes.velocity[self.keyframes] = result.velocity[self.moved]
         world.remove_observations(self.rows[~result.is_inlier])
         world.refresh_geometry(self.point_ids[points.is_alive[self.point_ids]])
 
@@ -100,7 +97,6 @@ def _part_around(free: list[int], world: Map) -> _Part | None:
         observed_px=observations.observed_px(table.px[rows], table.right_px[rows]),
         weights=observations.weights(table.octave[rows], table.right_px[rows], world.scales.inverse_variances),
         p_static=table.p_static[rows],
-        rows=known_rows(rows, involved, world),
     )
     moved = np.flatnonzero(~is_fixed)
     return _Part(problem, moved, involved[moved], point_ids, rows)

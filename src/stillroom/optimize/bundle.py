@@ -25,14 +25,6 @@ from stillroom.optimize.bundle_kernels import (
     move_points,
     sort_observations,
 )
-from stillroom.optimize.bundle_rows import (
-    KnownRows,
-    Rows,
-    doubled,
-    evaluate_rows,
-    linearize_rows_of_all,
-    move_velocities,
-)
 from stillroom.optimize.observations import intrinsics_of
 from stillroom.optimize.reduced_system import reduced_system
 
@@ -50,7 +42,6 @@ class BundleProblem:
         weights: Inverse variances (O, 3) [1/px²]; the third is 0 where there is no right coordinate.
         p_static: How much each observation counts (O,), 0 to 1: the probability that its point was static. It weighs
             the robust cost; whether an observation is an inlier depends on its χ² alone. All 1 by default.
-        rows: When rows were read; None where they are taken to be read at once.
     """
 
     T_cam_world: Floats
@@ -61,7 +52,6 @@ class BundleProblem:
     observed_px: Floats
     weights: Floats
     p_static: Floats | None = None
-    rows: KnownRows | None = None
 
 
 @dataclass(frozen=True)
@@ -74,7 +64,6 @@ class BundleResult:
         is_inlier: Which observations are inliers (O,) bool, in the problem's order.
         initial_cost, final_cost: Huber's Σpρ(χ²) of the observations that were in front of their cameras at the start.
         n_iterations: Steps tried, of both passes together.
-        velocity: Velocities of the keyframes (K, 6) [m/s, rad/s]; None where the problem has none.
     """
 
     T_cam_world: F64
@@ -83,7 +72,6 @@ class BundleResult:
     initial_cost: float
     final_cost: float
     n_iterations: int
-    velocity: F64 | None = None
 
 
 @dataclass(frozen=True)
@@ -100,10 +88,6 @@ class BundleConfig:
             them 3 mm from the truth (random problems with 20 free keyframes).
         right_sigma: Standard deviation of a right coordinate, that is of the disparity that a depth stands for, as a
             share of that of the left one. ORB-SLAM2 has 1; structured light measures it better.
-        turn_rad_s: How far the turn of a keyframe may differ from that with which its keypoints were moved to
-            mid-frame, one standard deviation. Keyframes whose rows were read one after the other have a velocity that
-            is adjusted with their pose; 0: it stays as tracking found it.
-        speed_m_s: The same of the speed.
     """
 
     iterations_first: int = bounded(5, least=0)
@@ -113,8 +97,6 @@ class BundleConfig:
     first_damping: float = bounded(1e-4, above=0)
     min_relative_decrease: float = bounded(1e-3, least=0)
     right_sigma: float = bounded(1.0, above=0)
-    turn_rad_s: float = bounded(0.1, least=0)
-    speed_m_s: float = bounded(0.02, above=0)
 
     def build(self) -> "BundleAdjuster":
         """Return the adjuster."""
@@ -130,7 +112,7 @@ def _require_indices(what: str, indices: Ints, count: int) -> None:
 class _Adjustment:
     """One problem in the kernels' order, its present estimate, and the scratch of its steps."""
 
-    def __init__(self, problem: BundleProblem, camera: Camera, config: BundleConfig) -> None:
+    def __init__(self, problem: BundleProblem, camera: Camera, right_sigma: float = 1.0) -> None:
         n_keyframes, n_points = len(problem.T_cam_world), len(problem.points_world_m)
         _require_indices("keyframe", problem.obs_keyframe, n_keyframes)
         _require_indices("point", problem.obs_point, n_points)
@@ -147,7 +129,7 @@ class _Adjustment:
         self.points = np.array(problem.points_world_m, dtype=np.float64).reshape(-1, 3)
         self.T_trial, self.points_trial = self.T.copy(), self.points.copy()
         self.weights = np.asarray(problem.weights, dtype=np.float64).reshape(-1, 3)[self.order]
-        self.weights[:, 2] /= config.right_sigma**2
+        self.weights[:, 2] /= right_sigma**2
         n_observations, n_free = len(self.order), len(self.free)
         self.is_active = np.ones(n_observations, dtype=np.bool_)
         self.seen = Observations(
@@ -175,13 +157,9 @@ class _Adjustment:
             return np.ones(len(self.order))
         return np.asarray(problem.p_static, dtype=np.float64)[self.order]
 
-    def cost(self, deltas2: tuple[float, float]) -> float:
+    def evaluate(self, T: F64, points: F64, deltas2: tuple[float, float]) -> float:
         """Return the robust cost of the active observations; leaves every observation's χ² in `chi2`."""
-        return float(evaluate(self.T, self.points, self.seen, deltas2, self.chi2))
-
-    def trial_cost(self, deltas2: tuple[float, float]) -> float:
-        """Return the same of the trial estimate."""
-        return float(evaluate(self.T_trial, self.points_trial, self.seen, deltas2, self.chi2))
+        return float(evaluate(T, points, self.seen, deltas2, self.chi2))
 
     def linearize(self, deltas2: tuple[float, float]) -> None:
         """Set up the normal equations at the present estimate."""
@@ -203,69 +181,6 @@ class _Adjustment:
         """Make the trial estimate the present one."""
         self.T, self.T_trial = self.T_trial, self.T
         self.points, self.points_trial = self.points_trial, self.points
-
-
-class _RowAdjustment(_Adjustment):
-    """The same with a velocity for each keyframe."""
-
-    def __init__(self, problem: BundleProblem, camera: Camera, config: BundleConfig) -> None:
-        super().__init__(problem, camera, config)
-        assert problem.rows is not None
-        known = problem.rows
-        n_free, n_observations = len(self.free), len(self.order)
-        self.velocity = np.array(known.velocity, dtype=np.float64).reshape(-1, 6)
-        self.velocity_trial = self.velocity.copy()
-        self.rows = Rows(
-            np.asarray(known.after_s, dtype=np.float64)[self.order],
-            self.free,
-            np.repeat((config.speed_m_s, config.turn_rad_s), 3) ** -2.0,
-        )
-        self.blocks = Blocks(
-            np.empty((2 * n_free, 6, 6)),
-            np.empty((2 * n_free, 6)),
-            self.blocks.H_pp,
-            self.blocks.b_p,
-            np.empty((2 * n_observations, 3, 6)),
-        )
-        self.coupling = np.empty((n_free, 6, 6))
-        self.doubled = doubled(self.sorted)
-        self.system = reduced_system(2 * n_free, self.doubled)
-
-    def cost(self, deltas2: tuple[float, float]) -> float:
-        """Return the robust cost of the active observations and of the velocities; leaves χ² in `chi2`."""
-        return float(evaluate_rows(self.T, self.velocity, self.points, self.seen, self.rows, deltas2, self.chi2))
-
-    def trial_cost(self, deltas2: tuple[float, float]) -> float:
-        """Return the same of the trial estimate."""
-        return float(
-            evaluate_rows(
-                self.T_trial, self.velocity_trial, self.points_trial, self.seen, self.rows, deltas2, self.chi2
-            )
-        )
-
-    def linearize(self, deltas2: tuple[float, float]) -> None:
-        """Set up the normal equations at the present estimate."""
-        linearize_rows_of_all(
-            self.T, self.velocity, self.points, self.seen, self.rows, deltas2, self.blocks, self.coupling
-        )
-
-    def try_step(self, damping: float) -> bool:
-        """Write the damped step's outcome into the trial estimate; return whether there is one."""
-        factor_points(self.blocks.H_pp, damping, self.factors)
-        xi = self.system.solve(self.blocks, self.factors, damping, self.coupling)
-        if xi is None:
-            return False
-        move_cameras(self.T, self.free, np.ascontiguousarray(xi[::2]), self.T_trial)
-        move_velocities(self.velocity, self.free, xi[1::2], self.velocity_trial)
-        move_points(self.points, self.doubled, self.blocks, self.factors, xi, self.points_trial)
-        starts, keyframes = self.seen.starts, self.seen.keyframes
-        keep_in_front(self.T, self.points, self.T_trial, self.points_trial, starts, keyframes, self.is_active)
-        return True
-
-    def accept(self) -> None:
-        """Make the trial estimate the present one."""
-        super().accept()
-        self.velocity, self.velocity_trial = self.velocity_trial, self.velocity
 
 
 class BundleAdjuster:
@@ -292,25 +207,23 @@ class BundleAdjuster:
             IndexError: An observation names a keyframe or point that does not exist.
         """
         config = self.config
-        moving = problem.rows is not None and config.turn_rad_s > 0.0
-        work = (_RowAdjustment if moving else _Adjustment)(problem, camera, config)
+        work = _Adjustment(problem, camera, config.right_sigma)
         limits = (config.chi2_2d, config.chi2_3d)
         limit = np.where(work.weights[:, 2] > 0.0, config.chi2_3d, config.chi2_2d)
         work.is_active[:] = False
-        work.cost(limits)
+        work.evaluate(work.T, work.points, limits)
         at_start = np.isfinite(work.chi2)
         work.is_active[:] = at_start
-        initial_cost = work.cost(limits)
+        initial_cost = work.evaluate(work.T, work.points, limits)
         n_iterations = self._minimize(work, config.iterations_first, limits, stop)
-        work.cost(limits)
+        work.evaluate(work.T, work.points, limits)
         work.is_active[:] = work.chi2 <= limit
         n_iterations += self._minimize(work, config.iterations_second, (np.inf, np.inf), stop)
         work.is_active[:] = at_start
-        final_cost = work.cost(limits)
+        final_cost = work.evaluate(work.T, work.points, limits)
         is_inlier = np.empty(len(limit), dtype=np.bool_)
         is_inlier[work.order] = work.chi2 <= limit
-        velocity = work.velocity if isinstance(work, _RowAdjustment) else None
-        return BundleResult(work.T, work.points, is_inlier, initial_cost, final_cost, n_iterations, velocity)
+        return BundleResult(work.T, work.points, is_inlier, initial_cost, final_cost, n_iterations)
 
     def _minimize(
         self, work: _Adjustment, iterations: int, deltas2: tuple[float, float], stop: Callable[[], bool] | None
@@ -319,7 +232,7 @@ class BundleAdjuster:
         if not work.is_active.any():
             return 0
         damping, growth = self.config.first_damping, 2.0
-        cost = work.cost(deltas2)
+        cost = work.evaluate(work.T, work.points, deltas2)
         stale = True
         for iteration in range(iterations):
             if stop is not None and stop():
@@ -327,7 +240,7 @@ class BundleAdjuster:
             if stale:
                 work.linearize(deltas2)
             solved = work.try_step(damping)
-            trial = work.trial_cost(deltas2) if solved else np.inf
+            trial = work.evaluate(work.T_trial, work.points_trial, deltas2) if solved else np.inf
             stale = trial <= cost
             if not stale:
                 damping, growth = damping * growth, 2.0 * growth

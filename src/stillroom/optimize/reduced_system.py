@@ -32,13 +32,8 @@ class SparseBlocks(NamedTuple):
 class ReducedSystem(Protocol):
     """Solves for the cameras."""
 
-    def solve(self, blocks: Blocks, factors: F64, damping: float, coupling: F64 | None = None) -> F64 | None:
-        """Return the damped step (F, 6); None where there is none.
-
-        Args:
-            blocks, factors, damping: The normal equations, the points' factors, and λ.
-            coupling: Blocks (F/2, 6, 6) of H_cc between each camera of even place and the one after it; None for none.
-        """
+    def solve(self, blocks: Blocks, factors: F64, damping: float) -> F64 | None:
+        """Return the damped step (F, 6); None where there is none."""
 
 
 def reduced_system(n_free: int, order: Order) -> ReducedSystem:
@@ -53,15 +48,12 @@ class DenseSystem:
         self._order, self._scratch = order, _scratch(order.starts)
         self._S, self._rhs = np.empty((n_free, 6, n_free, 6)), np.empty((n_free, 6))
 
-    def solve(self, blocks: Blocks, factors: F64, damping: float, coupling: F64 | None = None) -> F64 | None:
+    def solve(self, blocks: Blocks, factors: F64, damping: float) -> F64 | None:
         """Return the damped step (F, 6); None where there is none."""
         from scipy.linalg.lapack import dpotrf, dpotrs
 
         S, rhs = self._S, self._rhs
         reduce_to_cameras(self._order, blocks, factors, damping, self._scratch, S, rhs)
-        if coupling is not None:
-            even = np.arange(0, len(rhs), 2)
-            S[even + 1, :, even, :] += coupling
         size = rhs.size
         if not size:
             return np.zeros((0, 6))
@@ -88,18 +80,13 @@ class SparseSystem:
         self._S = SparseBlocks(pattern.indptr.astype(np.int64), columns, np.empty((len(columns), 6, 6)))
         self._rhs = np.empty((n_free, 6))
 
-    def solve(self, blocks: Blocks, factors: F64, damping: float, coupling: F64 | None = None) -> F64 | None:
+    def solve(self, blocks: Blocks, factors: F64, damping: float) -> F64 | None:
         """Return the damped step (F, 6); None where there is none."""
         from scipy.sparse import bsr_matrix, tril
         from scipy.sparse.linalg import splu
 
         S = self._S
         reduce_sparsely(self._order, blocks, factors, damping, self._scratch, S, self._rhs)
-        if coupling is not None:  # a camera that sees no point has no such block, and needs none
-            odd = np.arange(1, len(self._rhs), 2)
-            before = S.row_start[odd + 1] - 2
-            there = (before >= S.row_start[odd]) & (S.columns[np.maximum(before, 0)] == odd - 1)
-            S.values[before[there]] += coupling[there]
         size = self._rhs.size
         lower = bsr_matrix((S.values, S.columns, S.row_start), shape=(size, size)).tocsr()
         below = tril(lower, -1, format="csr")

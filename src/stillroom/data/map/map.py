@@ -204,7 +204,6 @@ class Map:
             descriptors=kp.descriptors,
             is_static=is_static,
             p_static=1.0 if p_static is None else p_static,
-            after_s=0.0 if frame.velocity is None else frame.camera.rows_after_s(kp.raw_px[:, 1]),
         )
         self.keyframes.append(
             1,

@@ -102,9 +102,8 @@ class KeypointTable(Table):
     """All keypoints of all keyframes, keyframe after keyframe. A row that sees a point is an observation.
 
     Positions are undistorted pixels; `right_px` is −1 where depth is unknown. `p_static` weighs an observation where
-    a sieve gave probabilities. `after_s` is when the row of a keypoint that was moved to mid-frame was read, from there
-    on; 0 where rows are read at once. `next_row` links the rows that see one point into a list that starts at the
-    point's `first_row`.
+    a sieve gave probabilities. `next_row` links the rows that see one point into a list that starts at the point's
+    `first_row`.
     """
 
     keyframe = Column(np.int32, fill=-1)
@@ -116,7 +115,6 @@ class KeypointTable(Table):
     descriptors = Column(np.uint8, 32)
     is_static = Column(np.bool_, fill=1)
     p_static = Column(np.float32, fill=1)
-    after_s = Column(np.float32)
     point = Column(np.int32, fill=-1)
     next_row = Column(np.int32, fill=-1)
 
@@ -146,7 +144,6 @@ class PointTable(Table):
 class KeyframeTable(Table):
     """Keyframes. A culled one keeps its pose relative to its parent, so that frames that refer to it keep a pose.
 
-    `velocity` [m/s, rad/s] is what bundle adjustment found beyond the one by which keypoints were moved to mid-frame.
     `submap` is the id of its sub-map (see `submaps`); points belong to the sub-map of their first keyframe.
     `is_unsaved` tells of which keyframes the observations changed since the map was last written to disk.
     """
@@ -159,6 +156,5 @@ class KeyframeTable(Table):
     is_alive = Column(np.bool_, fill=1)
     parent = Column(np.int32, fill=-1)
     T_parent_cam = Column(np.float64, 4, 4)
-    velocity = Column(np.float64, 6)
     submap = Column(np.int32)
     is_unsaved = Column(np.bool_, fill=1)

@@ -228,7 +228,7 @@ class System:
 
     def _conclude(self, tracked: Tracked, semantics: Perceived, keyframe: int) -> FrameResult:
         """Store the frame in tracker and sieve, after mapping, and keep a summary of it."""
-        n_agreeing = tracked.n_inliers
+        tracked, n_agreeing = self._revised(tracked), tracked.n_inliers
         if keyframe >= 0:
             tracked = replace(
                 tracked,
@@ -262,6 +262,18 @@ class System:
         self.keeper.note(result.summary)
         self.observer.on_frame(tracked, semantics.result(), result)
         return result
+
+    def _revised(self, tracked: Tracked) -> Tracked:
+        """Return the frame, and correct earlier ones, after it turned out that they were found in a wrong way."""
+        if keyframes := self.tracker.put_back():
+            with self.map.lock.let_go():
+                self.schedule.submit(Worker.MAPPING, self.mapper.adjust, keyframes).result()
+        again = self.tracker.found_again(self.map)
+        for place, result in enumerate(self.results) if again else ():
+            if result.index in again and result.T_reference_cam is not None:
+                T_reference_world = se3.inverse(self.map.keyframe_pose(result.reference_keyframe))
+                self.results[place] = replace(result, T_reference_cam=T_reference_world @ again[result.index])
+        return replace(tracked, T_world_cam=again.get(tracked.frame.image.index, tracked.T_world_cam))
 
     def _in_main(self) -> list[FrameSummary]:
         """Return the frames that have a pose in the main sub-map."""

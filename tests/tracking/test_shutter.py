@@ -49,7 +49,7 @@ def look(T_world_cam: np.ndarray, velocity: np.ndarray = VELOCITY, noise_px: flo
 
 def rolling(**deviations: float) -> RollingShutter:
     loose = {"turn_rad_s": 0.5, "speed_m_s": 0.05}
-    return RollingShutter(RollingShutterConfig(**(loose | deviations)), PoseOptimizerConfig())
+    return RollingShutter(RollingShutterConfig(**(loose | deviations)), PoseOptimizerConfig(), 0.03)
 
 
 def matches_of(small: SmallMap, seen: np.ndarray) -> Matches:

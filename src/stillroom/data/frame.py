@@ -73,6 +73,8 @@ class Frame:
         scales: The pyramid they were found on.
         keypoints: What was found.
         is_static: Which keypoints (N,) sieve 1 classifies as static; all true before it is applied.
+        velocity: With which velocity of the camera (6,) [m/s, rad/s] keypoints were moved from where their rows saw
+            them to mid-frame; None where they were not, as under a global shutter.
     """
 
     image: RgbdImage
@@ -80,6 +82,7 @@ class Frame:
     scales: ScaleLevels
     keypoints: Keypoints
     is_static: Bool = field(repr=False)
+    velocity: F64 | None = field(default=None, repr=False)
 
     def __len__(self) -> int:
         """Number of keypoints."""

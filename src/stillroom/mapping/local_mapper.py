@@ -184,6 +184,10 @@ class LocalMapper:
             with world.lock:
                 cull_keyframes(keyframe, self._close_depth_m, world)
 
+    def adjust(self, keyframes: list[int]) -> None:
+        """Adjust keyframes whose keypoints were put elsewhere, and the points that they see."""
+        adjust_these(keyframes, self.camera, self._adjust, self.world)
+
     def finish(self) -> None:
         """Run full bundle adjustment: observations of later keyframes improve the earlier ones.
 

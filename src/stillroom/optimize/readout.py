@@ -148,6 +148,23 @@ def of_frame(seen: RowsSeen, T_cam_world: F64, velocity: F64, camera: Camera, re
     return FrameEvidence(information, slope + information @ known, speed_px_s)
 
 
+def of_equations(H: F64, b: F64, moved_with: F64, velocity: F64) -> FrameEvidence:
+    """Return what a frame says whose pose and twist of rows were solved together, at the pose that was found.
+
+    Args:
+        H, b: Normal equations (12, 12), lower triangle, and (12,), of the pose and of the twist by which the last row
+            is seen after the first, at no twist; those of `rolling_pose.linearize_rows` with shares in place of times.
+        moved_with: The twist (6,) by which its keypoints had been moved to mid-frame.
+        velocity: Of the camera (6,) [m/s, rad/s].
+    """
+    whole = np.tril(H) + np.tril(H, -1).T
+    pose_first = np.linalg.solve(whole[:6, :6], np.column_stack((whole[:6, 6:], b[:6])))
+    rows = whole[6:, 6:] - whole[6:, :6] @ pose_first[:, :6]
+    slope = rows @ moved_with - (b[6:] - whole[6:, :6] @ pose_first[:, 6])
+    parts = np.column_stack((velocity, np.eye(6)))
+    return FrameEvidence(parts.T @ rows @ parts, parts.T @ slope, 0.0)
+
+
 def agreed(frames: list[FrameEvidence], seed: int = 0, block_frames: int = BLOCK_FRAMES) -> Readout:
     """Return what frames, in order of time, agree on; there are enough for two blocks.
 
@@ -157,7 +174,7 @@ def agreed(frames: list[FrameEvidence], seed: int = 0, block_frames: int = BLOCK
         block_frames: Frames that see one and the same shear.
     """
     n_blocks = len(frames) // block_frames
-    own, information = np.array([_of_block(block) for block in _split(frames, n_blocks)]).T
+    own, information = np.array([of_block(block) for block in _split(frames, n_blocks)]).T
     rng = np.random.default_rng(seed)
     drawn = [_mean(own[chosen], information[chosen]) for chosen in rng.integers(0, n_blocks, (DRAWS, n_blocks))]
     sigma_s = max(float(np.std(drawn)), float(information.sum() ** -0.5))
@@ -169,8 +186,8 @@ def _split(frames: list[FrameEvidence], n_blocks: int) -> list[list[FrameEvidenc
     return [[frames[i] for i in block] for block in np.array_split(np.arange(len(frames)), n_blocks)]
 
 
-def _of_block(frames: list[FrameEvidence]) -> tuple[float, float]:
-    """Return ρ of frames that see one shear, which is eliminated, and the inverse variance of it."""
+def of_block(frames: list[FrameEvidence]) -> tuple[float, float]:
+    """Return ρ [s] of frames that see one shear, which is eliminated, and the inverse variance of it [1/s²]."""
     H = np.sum([frame.information for frame in frames], axis=0)
     slope = np.sum([frame.slope for frame in frames], axis=0)
     shear = H[1:, 1:] + np.diag(np.repeat((SHEAR_M, SHEAR_RAD), 3) ** -2.0)

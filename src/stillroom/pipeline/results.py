@@ -336,11 +336,13 @@ def run_figures(outcome: RunOutcome) -> dict[str, Any]:
     frame_time = next((stage for stage in outcome.clock.summary() if stage.stage == FRAME), None)
     peak_mb = peak_memory_mb()
     tracked = [r for r in frames if r.T_world_cam is not None]
+    rows = outcome.system.tracker.rows
     return {
         "n_unreadable": outcome.n_bad,
         "doubts": [str(doubt) for doubt in outcome.doubts],
         "n_unpaired": outcome.n_unpaired,
         "n_repeated": outcome.system.n_repeated,
+        "readout": None if rows is None else asdict(rows),
         "interrupted": outcome.interrupted,
         "n_pictures_failed": outcome.ornaments.n_failed,
         "n_frames_not_shown": outcome.ornaments.n_not_shown,

@@ -13,6 +13,7 @@ from stillroom.errors import CalibrationError
 from stillroom.evaluation.report import Evaluation
 from stillroom.geometry.arrays import F32, F64
 from stillroom.geometry.camera import Camera
+from stillroom.tracking.readout_check import RowsFound
 
 POSSIBLE_FOV_DEG = 5.0, 175.0
 USUAL_FOV_DEG = 20.0, 120.0
@@ -172,6 +173,29 @@ class ImageTimes:
                 f"images come every {step_s:g} s, and the memories of sieves, which ask for images 0.2 to 10 s old, "
                 "find none of the age they want; are the times in seconds?",
             )
+
+
+class ShutterDoubts:
+    """Says once each that rows are read as one, and that the readout of a recording is another than the camera's."""
+
+    def __init__(self) -> None:
+        """Start with nothing said."""
+        self._has_said_as_one, self._has_said_other = False, False
+
+    def add(self, rows: RowsFound | None) -> Iterator[Doubt]:
+        """Look at what the recording says of the camera's readout so far; None where nothing is known."""
+        if rows is None:
+            return
+        found = f"{1e3 * rows.readout_s:.0f} ± {1e3 * rows.sigma_s:.0f} ms"
+        looks = f"this recording's readout looks like {found}, its camera file says {1e3 * rows.file_s:.3g} ms"
+        if rows.as_one and not self._has_said_as_one:
+            self._has_said_as_one = True
+            yield Doubt(
+                "shutter", f"{looks}: rows are read as one; if the shutter is a global one, leave out readout_s"
+            )
+        elif rows.is_other and not rows.as_one and not self._has_said_other:
+            self._has_said_other = True
+            yield Doubt("shutter", f"{looks}; 'stillroom calibrate shutter' estimates it")
 
 
 def doubts_of_figures(evaluation: Evaluation) -> Iterator[Doubt]:

@@ -26,7 +26,14 @@ from stillroom.protocols import RunObserver, Schedule, Segmenter
 from stillroom.schedule import LiveSchedule, ScheduleName, schedule_of
 from stillroom.session import one_thread
 from stillroom.session.map_file import MapFile, MapUse, OpenedMap, opened_map, session_of
-from stillroom.session.plausibility import DepthRange, Doubt, ImageTimes, doubts_of_camera, require_possible
+from stillroom.session.plausibility import (
+    DepthRange,
+    Doubt,
+    ImageTimes,
+    ShutterDoubts,
+    doubts_of_camera,
+    require_possible,
+)
 from stillroom.storage.schema import FrameNote, StoredMap
 from stillroom.storage.writer import save_map
 from stillroom.system import System, build
@@ -103,7 +110,7 @@ class Slam:
         self.config = config if file is None else file.fitting(config)
         self.camera, self.clock = camera, StageClock()
         self.doubts: list[Doubt] = []
-        self._depths, self._times = DepthRange(camera.depth_factor), ImageTimes()
+        self._depths, self._times, self._rows = DepthRange(camera.depth_factor), ImageTimes(), ShutterDoubts()
         self._sequence, self._observers, self._newest = sequence, list(observers), _Newest()
         self._n_given, self._last_s, self._is_open = 0, -np.inf, True
         with ExitStack() as opening:
@@ -161,6 +168,7 @@ class Slam:
         is_first = len(self.system.results) == 0
         with self.clock.stage(FRAME), said_when_compiling() if is_first else nullcontext():
             result = self._repeated(image) or self._tracked(image, following)
+        self.doubt(self._rows.add(self.system.tracker.rows))
         self.clock.next_frame(image.index)
         self._newest.show(self._observers)
         return result

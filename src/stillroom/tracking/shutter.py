@@ -9,6 +9,7 @@ from stillroom.bounds import bounded
 from stillroom.data.frame import Frame
 from stillroom.data.map import Map
 from stillroom.data.matches import Matches
+from stillroom.data.result import Tracked
 from stillroom.geometry import se3, twists
 from stillroom.geometry.arrays import F32, F64, Bool
 from stillroom.geometry.camera import Camera
@@ -16,7 +17,9 @@ from stillroom.optimize import observations
 from stillroom.optimize.depth_terms import MODELS, RIGHT, DepthTerms, RightCoordinate, Terms, depth_terms
 from stillroom.optimize.observations import intrinsics_of
 from stillroom.optimize.pose import PoseOptimizerConfig
-from stillroom.optimize.rolling_pose import RollingPoseOptimizer, at_mid_frame
+from stillroom.optimize.rolling_pose import RollingPoseOptimizer, SeenInRows, at_mid_frame, linearize_rows
+from stillroom.tracking.readout_check import ReadoutCheck, Rows, RowsFound
+from stillroom.tracking.undecided import Undecided, as_taken
 
 GLOBAL, ROLLING = "global", "rolling"
 FASTEST_TURN_RAD_S = 6.0
@@ -72,6 +75,22 @@ class PoseFit(Protocol):
     def at_mid_frame(self, frame: Frame, velocity: F64 | None) -> Frame:
         """Return a frame with its keypoints moved by a velocity (6,) to where all rows would be read at its middle."""
 
+    def learn(self, tracked: Tracked, world: Map) -> Tracked:
+        """Take notice of a frame that was found, before mapping sees it; return it, as it is found now."""
+
+    def remember(self, tracked: Tracked, world: Map) -> None:
+        """Take notice of a frame after mapping."""
+
+    @property
+    def found(self) -> RowsFound | None:
+        """What the recording says of the camera's readout; None where nothing is asked, or known yet."""
+
+    def put_back(self) -> list[int]:
+        """Return keyframes whose keypoints were put back to where they were seen since the last call."""
+
+    def found_again(self, world: Map) -> dict[int, F64]:
+        """Find earlier images again where there is reason to; return their `T_world_cam` (4, 4) by image index."""
+
 
 class GlobalShutter:
     """All rows are taken to be read at once, as in ORB-SLAM2."""
@@ -103,6 +122,26 @@ class GlobalShutter:
     def at_mid_frame(self, frame: Frame, velocity: F64 | None) -> Frame:
         """Return the frame as it is."""
         return frame
+
+    def learn(self, tracked: Tracked, world: Map) -> Tracked:
+        """Return the frame."""
+        return tracked
+
+    def remember(self, tracked: Tracked, world: Map) -> None:
+        """Do nothing."""
+
+    @property
+    def found(self) -> None:
+        """None."""
+        return
+
+    def put_back(self) -> list[int]:
+        """Return none."""
+        return []
+
+    def found_again(self, world: Map) -> dict[int, F64]:
+        """Return none."""
+        return {}
 
 
 @dataclass(frozen=True)
@@ -144,28 +183,52 @@ class RollingShutterConfig:
         turn_rad_s: How far the turn of a frame may differ from that since the last one: one standard deviation. A
             hand's tremor changes it from frame to frame.
         speed_m_s: The same of the speed. It shows in the rows as a turn does, and is known better from the poses.
+        check: Whether rows are read as one, with a warning, where the recording says that its camera's shutter is a
+            global one after all; see `tracking.readout_check`.
     """
 
     turn_rad_s: float = bounded(0.1, above=0)
     speed_m_s: float = bounded(0.02, above=0)
+    check: bool = True
 
 
 class RollingShutter:
-    """Rows are read one after the other: pose and velocity of a frame are found together."""
+    """Rows are read one after the other: pose and velocity of a frame are found together.
 
-    def __init__(self, config: RollingShutterConfig, pose: PoseOptimizerConfig) -> None:
-        """Store what is expected."""
+    Unless the recording says that they are read at once, from when on all rows are.
+    """
+
+    def __init__(self, config: RollingShutterConfig, pose: PoseOptimizerConfig, readout_s: float) -> None:
+        """Store what is expected, and the readout of the camera [s]."""
         deviations = np.repeat((config.speed_m_s, config.turn_rad_s), 3)
         self._optimize = RollingPoseOptimizer(pose, deviations**-2.0)
+        self._as_one, self._optimize_as_one = GlobalShutter(pose), pose.build()
+        self._check = ReadoutCheck(readout_s) if config.check else None
+        self._limits = pose.chi2_2d, pose.chi2_3d
+        self._undecided, self._put_back = Undecided(), list[int]()
+        self._decided: Camera | None = None  # since the last frame, for this camera
+        self._depth: DepthTerms = RightCoordinate()  # of the last pose
 
-    def expected(self, guess: F64, before: Before | None) -> F64:
-        """Return the velocity that leads from the frame before to the guess."""
-        return expected_velocity(guess, before)
+    @property
+    def found(self) -> RowsFound | None:
+        """What the recording says of the camera's readout; None where nothing is asked, or known yet."""
+        return None if self._check is None else self._check.found
+
+    @property
+    def _is_global(self) -> bool:
+        return self._check is not None and self._check.as_one
+
+    def expected(self, guess: F64, before: Before | None) -> F64 | None:
+        """Return the velocity that leads from the frame before to the guess; None where rows are read as one."""
+        return None if self._is_global else expected_velocity(guess, before)
 
     def fit(
         self, frame: Frame, guess: F64, matches: Matches, world: Map, p_static: F32 | None, depth: DepthTerms
     ) -> Fitted:
         """Return the pose, and how far the velocity differs from the one that was expected."""
+        self._depth = depth
+        if self._is_global:
+            return self._as_one.fit(frame, guess, matches, world, p_static, depth)
         terms = terms_of(frame, matches, depth)
         estimate = self._optimize(
             guess,
@@ -190,7 +253,66 @@ class RollingShutter:
         after_s = camera.rows_after_s(kp.raw_px[:, 1])
         px = at_mid_frame(kp.px, kp.depth_m, typical_m, after_s, velocity, intrinsics_of(camera)).astype(np.float32)
         moved = replace(kp, px=px, right_px=camera.right_coordinate(px[:, 0], kp.depth_m))
-        return replace(frame, keypoints=moved)
+        so_far = velocity if frame.velocity is None else frame.velocity + velocity
+        return replace(frame, keypoints=moved, velocity=so_far)
+
+    def learn(self, tracked: Tracked, world: Map) -> Tracked:
+        """Ask the rows of a frame when they were read; where they say at once, find the frames until now again."""
+        check, frame = self._check, tracked.frame
+        if check is None or tracked.T_world_cam is None:
+            return tracked
+        was_as_one, matches = check.as_one, Matches.of(tracked.point_ids)
+        check.add(_rows_of(tracked, matches, world, self._limits))
+        if check.is_settled or was_as_one:
+            self._undecided.clear()
+            return tracked
+        taken = replace(frame, keypoints=as_taken(frame.keypoints, frame.camera), velocity=None)
+        self._undecided.add(tracked, matches, terms_of(taken, matches, self._depth))
+        if not check.as_one:
+            return tracked
+        self._decided = frame.camera
+        self._put_back = self._undecided.put_back(self._optimize_as_one, frame.camera, world)
+        guess = se3.inverse(tracked.T_world_cam)
+        fitted = self._as_one.fit(taken, guess, matches, world, tracked.motion.p_static, self._depth)
+        return replace(tracked, frame=taken, T_world_cam=se3.orthonormalize(se3.inverse(fitted.T_cam_world)))
+
+    def remember(self, tracked: Tracked, world: Map) -> None:
+        """Take notice of a keyframe whose keypoints were moved, as long as that may have been wrong."""
+        keyframe = tracked.reference_keyframe
+        if keyframe >= 0 and world.keyframes.timestamp_s[keyframe] == tracked.frame.timestamp_s:
+            self._undecided.became_keyframe(keyframe, tracked)
+
+    def put_back(self) -> list[int]:
+        """Return keyframes whose keypoints were put back to where they were seen since the last call."""
+        keyframes, self._put_back = self._put_back, []
+        return keyframes
+
+    def found_again(self, world: Map) -> dict[int, F64]:
+        """Find earlier images again after the verdict; return their `T_world_cam` (4, 4) by image index."""
+        camera, self._decided = self._decided, None
+        return {} if camera is None else self._undecided.found_again(self._optimize_as_one, camera, world)
+
+
+def _rows_of(tracked: Tracked, matches: Matches, world: Map, limits: tuple[float, float]) -> Rows:
+    """Return the equations of a frame's pose and of the twist of its rows, at its pose."""
+    assert tracked.T_world_cam is not None
+    frame = tracked.frame
+    kp, camera, n = frame.keypoints, frame.camera, len(matches)
+    H, b = np.empty((12, 12)), np.empty(12)
+    terms = terms_of(frame, matches, RightCoordinate())
+    seen = SeenInRows(
+        world.points.position_m[matches.point_id],
+        terms.observed_px,
+        terms.weights,
+        np.ones(n),
+        (kp.raw_px[matches.keypoint, 1].astype(np.float64) + 0.5) / camera.height - 0.5,
+        terms.intrinsics,
+        np.zeros(6),
+        np.zeros(6),
+    )
+    linearize_rows(se3.inverse(tracked.T_world_cam), np.zeros(6), seen, np.ones(n, dtype=np.bool_), limits, H, b)
+    moved_with = np.zeros(6) if frame.velocity is None else camera.readout_s * frame.velocity
+    return Rows(frame.timestamp_s, tracked.T_world_cam, len(world.jumps), H, b, moved_with)
 
 
 def terms_of(frame: Frame, matches: Matches, depth: DepthTerms) -> Terms:

@@ -20,6 +20,7 @@ from stillroom.tracking import correspondences
 from stillroom.tracking.depth_clock import with_depth_in_time
 from stillroom.tracking.flow_tracking import FlowConfig, FlowTracking, KeyframeRule, OrbAlways
 from stillroom.tracking.low_cost import NoLowCost
+from stillroom.tracking.readout_check import RowsFound
 from stillroom.tracking.shutter import (
     GLOBAL,
     ROLLING,
@@ -152,7 +153,8 @@ class TrackerConfig:
     def build(self, parts: Parts, sieve: MatchSieve, quick: QuickTracking | None = None) -> "Tracker":
         """Return a tracker that calls the sieve, and starts from the pose of low-cost tracking where there is one."""
         rolls = self.shutter == ROLLING and parts.camera.readout_s > 0.0
-        pose = RollingShutter(self.rolling, self.pose) if rolls else GlobalShutter(self.pose)
+        readout_s = parts.camera.readout_s
+        pose = RollingShutter(self.rolling, self.pose, readout_s) if rolls else GlobalShutter(self.pose)
         return Tracker(self, sieve, quick or NoLowCost(), pose)
 
     def build_flow(
@@ -296,10 +298,12 @@ class Tracker:
         world.points.n_visible[matches.point_id] += 1
         world.points.n_found[fix.point_ids[fix.point_ids >= 0]] += 1
         T_world_cam = se3.orthonormalize(se3.inverse(fix.T_cam_world))
-        return Tracked(frame, TrackingState.OK, T_world_cam, fix.point_ids, motion, _alive(reference, world))
+        tracked = Tracked(frame, TrackingState.OK, T_world_cam, fix.point_ids, motion, _alive(reference, world))
+        return self._pose.learn(tracked, world)
 
     def remember(self, tracked: Tracked, world: Map) -> None:
         """Store the result of a frame, after mapping, for the next one."""
+        self._pose.remember(tracked, world)
         if tracked.T_world_cam is None:
             self._velocity.forget()
             self._last, self._T_reference_last = None, None
@@ -310,6 +314,19 @@ class Tracker:
         self._frames_since_recovery = 0 if tracked.recovered else self._frames_since_recovery + 1
         self._last = tracked
         self._T_reference_last = se3.inverse(world.keyframe_pose(tracked.reference_keyframe)) @ tracked.T_world_cam
+
+    @property
+    def rows(self) -> RowsFound | None:
+        """What the recording says of the camera's readout; None where nothing is asked, or known yet."""
+        return self._pose.found
+
+    def put_back(self) -> list[int]:
+        """Return keyframes whose keypoints were put back to where they were seen since the last call."""
+        return self._pose.put_back()
+
+    def found_again(self, world: Map) -> dict[int, F64]:
+        """Find earlier images again where there is reason to; return their `T_world_cam` (4, 4) by image index."""
+        return self._pose.found_again(world)
 
     @property
     def _reference(self) -> int:
@@ -393,7 +410,7 @@ class Tracker:
         world.points.n_found[inliers] += 1
         if len(inliers) < self._inliers_needed():
             return _lost(frame, surroundings.reference, motion)
-        return Tracked(
+        tracked = Tracked(
             self._pose.at_mid_frame(frame, refined.velocity),
             TrackingState.OK,
             se3.orthonormalize(se3.inverse(refined.T_cam_world)),
@@ -401,6 +418,7 @@ class Tracker:
             motion,
             surroundings.reference,
         )
+        return self._pose.learn(tracked, world)
 
     def _inliers_needed(self) -> int:
         return self.config.min_inliers_recovered if self._is_recovering else self.config.min_inliers

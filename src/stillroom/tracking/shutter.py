@@ -116,6 +116,10 @@ class DepthNoiseConfig:
     right_sigma: float = bounded(1.0, above=0)
     max_turn_rad_s: float = bounded(0.5, above=0)
 
+    def right_sigma_at(self, turn_rad_s: float) -> float:
+        """Return that deviation while the camera turns at a speed [rad/s]."""
+        return self.right_sigma if turn_rad_s <= self.max_turn_rad_s else 1.0
+
 
 @dataclass(frozen=True)
 class RollingShutterConfig:

@@ -14,6 +14,7 @@ from stillroom.data.result import Recovery, Tracked, TrackingState
 from stillroom.data.semantics import Semantics
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64, I32
+from stillroom.geometry.camera import Camera
 from stillroom.optimize.pose import PoseOptimizerConfig
 from stillroom.protocols import KeypointSieve, MatchSieve, Parts, Pending, QuickTracking
 from stillroom.tracking import correspondences
@@ -149,9 +150,12 @@ class TrackerConfig:
 
     def build(self, parts: Parts, sieve: MatchSieve, quick: QuickTracking | None = None) -> "Tracker":
         """Return a tracker that calls the sieve, and starts from the pose of low-cost tracking where there is one."""
-        rolls = self.shutter == ROLLING and parts.camera.readout_s > 0.0
-        pose = RollingShutter(self.rolling, self.pose) if rolls else GlobalShutter(self.pose)
-        return Tracker(self, sieve, quick or NoLowCost(), pose)
+        return Tracker(self, sieve, quick or NoLowCost(), self.build_fit(parts.camera))
+
+    def build_fit(self, camera: Camera) -> PoseFit:
+        """Return how poses are found from matches."""
+        rolls = self.shutter == ROLLING and camera.readout_s > 0.0
+        return RollingShutter(self.rolling, self.pose) if rolls else GlobalShutter(self.pose)
 
     def build_flow(
         self, tracker: "Tracker", keypoint_sieve: KeypointSieve, keyframes: KeyframeRule
@@ -396,8 +400,7 @@ class Tracker:
 
     def _fix(self, frame: Frame, guess: F64, matches: Matches, motion: Motion, world: Map) -> _Fix:
         """Optimise the pose over the matches and return it with its inliers."""
-        depth, turn = self.config.depth, turn_rad_s(guess, self._before(frame, world))
-        right_sigma = depth.right_sigma if turn <= depth.max_turn_rad_s else 1.0
+        right_sigma = self.config.depth.right_sigma_at(turn_rad_s(guess, self._before(frame, world)))
         fitted = self._pose.fit(frame, guess, matches, world, motion.p_static, right_sigma)
         point_ids = np.full(len(frame), -1, dtype=np.int32)
         inlier = fitted.is_inlier

@@ -1,0 +1,232 @@
+"""A last look: when a run ends, every frame is fitted once more to the finished map.
+
+While a run goes on, a frame knows the map that was there: points that nothing but one depth image placed, keyframes
+that were adjusted later. What each frame saw of the map is kept, in 20 bytes a match, and its pose is found again from
+it when the map is finished, by the same `PoseFit` and from static points only. Under a rolling shutter the velocity
+that is expected then comes from the frames before and after.
+"""
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from stillroom.bounds import bounded
+from stillroom.data.frame import Frame, Keypoints
+from stillroom.data.image import RgbdImage
+from stillroom.data.map import Map
+from stillroom.data.matches import Matches
+from stillroom.data.result import FrameSummary, Tracked
+from stillroom.geometry import se3
+from stillroom.geometry.arrays import F32, F64, I32, U8, U16
+from stillroom.geometry.camera import Camera
+from stillroom.optimize.trajectory_prior import LONGEST_STEP_S, TrajectoryPriorConfig, smoothed
+from stillroom.protocols import Parts
+from stillroom.tracking.shutter import Before, DepthNoiseConfig, PoseFit, turn_rad_s
+from stillroom.tracking.tracker import TrackerConfig
+
+LEAST_KEYFRAMES = 2
+"""A point that one keyframe alone sees lies where that frame's depth put it, and tells nothing new."""
+
+
+@dataclass(frozen=True)
+class LastLookConfig:
+    """Whether frames are fitted once more when a run ends.
+
+    Attributes:
+        enabled: Whether they are.
+        min_inliers: Points that must agree with the new pose; with fewer a frame keeps the one it has.
+        most_frames: Newest frames of which is kept what they saw, about 9 kB each; earlier ones keep their poses.
+    """
+
+    enabled: bool = False
+    min_inliers: int = bounded(30, least=3)
+    most_frames: int = bounded(10_000, least=1)
+
+    def build(
+        self, parts: Parts, tracking: TrackerConfig, prior: TrajectoryPriorConfig
+    ) -> "LastLook | NoLastLook":
+        """Return what keeps the frames' sights and looks again, or never does.
+
+        Args:
+            parts: Camera and map.
+            tracking: How poses are found.
+            prior: The prior of smooth motion, where it is in use.
+        """
+        if not self.enabled:
+            return NoLastLook()
+        return LastLook(self, parts, tracking.build_fit(parts.camera), tracking.depth, prior)
+
+
+class Sights(NamedTuple):
+    """What one frame saw of the map: M static keypoints that see a point.
+
+    Attributes:
+        px: Where, undistorted, as their rows were read (M, 2) [px].
+        row: The row of the image as taken (M,).
+        octave: Pyramid level (M,).
+        depth_m: Depth (M,) [m]; 0 where unknown.
+        point_ids: The points (M,), as they were called then.
+        p_static: Probability that each is static (M,), in 255ths; None where the sieve gives none.
+    """
+
+    px: F32
+    row: U16
+    octave: U8
+    depth_m: F32
+    point_ids: I32
+    p_static: U8 | None
+
+    @classmethod
+    def of(cls, tracked: Tracked) -> "Sights":
+        """Return those of a frame."""
+        frame, p_static = tracked.frame, tracked.motion.p_static
+        kp, chosen = frame.keypoints, np.flatnonzero(tracked.is_matched & tracked.is_static)
+        return cls(
+            # `px` of a frame under a rolling shutter were moved to mid-frame, with a velocity that may be found better.
+            px=frame.camera.undistort(kp.raw_px[chosen]),
+            row=np.rint(kp.raw_px[chosen, 1]).astype(np.uint16),
+            octave=kp.octave[chosen].astype(np.uint8),
+            depth_m=kp.depth_m[chosen],
+            point_ids=tracked.point_ids[chosen],
+            p_static=None if p_static is None else np.rint(255.0 * p_static[chosen]).astype(np.uint8),
+        )
+
+
+class LastLook:
+    """Keeps what frames saw of a map, and fits their poses to it once more.
+
+    Attributes:
+        n_improved: Frames that have a new pose.
+        n_forgotten: Frames whose sights were dropped, there being too many.
+    """
+
+    def __init__(
+        self, config: LastLookConfig, parts: Parts, pose: PoseFit, depth: DepthNoiseConfig, prior: TrajectoryPriorConfig
+    ) -> None:
+        """Start before the first frame; see `LastLookConfig.build`."""
+        self.config, self.n_improved, self.n_forgotten = config, 0, 0
+        self._camera: Camera = parts.camera
+        self._world: Map = parts.world
+        self._pose, self._depth, self._prior = pose, depth, prior
+        self._sights: deque[Sights | None] = deque()
+
+    def keep(self, tracked: Tracked) -> None:
+        """Keep what the next frame saw."""
+        self._add(None if tracked.T_world_cam is None else Sights.of(tracked))
+
+    def repeat(self) -> None:
+        """Keep that the next image repeats the one before."""
+        self._add(self._sights[-1] if self._sights else None)
+
+    def again(self, results: Sequence[FrameSummary]) -> list[FrameSummary]:
+        """Return the results of all frames that were kept, with poses fitted to the map as it is now.
+
+        Args:
+            results: The frames in order, one for each that was kept.
+        """
+        looked, self.n_improved = list(results), 0
+        known = [i for i, result in enumerate(results) if result.T_reference_cam is not None]
+        if not known:
+            return looked
+        T_world_reference = [self._world.keyframe_pose(results[i].reference_keyframe) for i in known]
+        T = np.array([T_world_reference[k] @ results[i].T_reference_cam for k, i in enumerate(known)])
+        times_s = np.array([results[i].timestamp_s for i in known])
+        motion = self._motion(times_s, T, np.array([float(results[i].n_agreeing) for i in known]))
+        last: Sights | None = None
+        found: tuple[F64, int] | None = None
+        for k, i in enumerate(known):
+            sights = self._sights[i - self.n_forgotten] if i >= self.n_forgotten else None
+            if sights is None:
+                found = None
+            elif sights is last:  # an image that repeats the one before: its pose, and no more to say
+                found = None if found is None else (found[0], 0)
+            else:
+                found = self._fitted(sights, times_s[k], T[k], motion[k])
+            last = sights
+            if found is not None:
+                T_reference_cam = se3.inverse(T_world_reference[k]) @ found[0]
+                looked[i] = replace(results[i], T_reference_cam=T_reference_cam, n_agreeing=found[1])
+                self.n_improved += 1
+        return looked
+
+    def _add(self, sights: Sights | None) -> None:
+        self._sights.append(sights)
+        if len(self._sights) > self.config.most_frames:
+            self._sights.popleft()
+            self.n_forgotten += 1
+
+    def _motion(self, times_s: F64, T: F64, n_agreeing: F64) -> list["_Motion"]:
+        """Return how the camera moves around each of its poses (N, 4, 4)."""
+        near = smoothed(times_s, T, n_agreeing, self._prior) if self._prior.enabled else T
+        moves = []
+        for k in range(len(near)):
+            first = k - 1 if k > 0 and times_s[k] - times_s[k - 1] <= LONGEST_STEP_S else k
+            end = k + 1 if k + 1 < len(near) and times_s[k + 1] - times_s[k] <= LONGEST_STEP_S else k
+            before = Before(near[first], float(times_s[end] - times_s[first])) if end > first else None
+            moves.append(_Motion(se3.inverse(near[end]), before))
+        return moves
+
+    def _fitted(self, sights: Sights, time_s: float, T_world_cam: F64, motion: "_Motion") -> tuple[F64, int] | None:
+        """Return a frame's pose (4, 4) and the points that agree with it; None where there are too few."""
+        ids = self._world.current_ids(sights.point_ids)
+        ids[self._world.points.n_keyframes[ids] < LEAST_KEYFRAMES] = -1  # a −1 reads the last point, and stays −1
+        frame = self._pose.at_mid_frame(self._frame(sights, time_s), self._pose.expected(*motion))
+        p_static = None if sights.p_static is None else sights.p_static.astype(np.float32) / np.float32(255.0)
+        right_sigma = self._depth.right_sigma_at(turn_rad_s(*motion))
+        matches = Matches.of(_each_once(ids))
+        if len(matches) < self.config.min_inliers:
+            return None
+        fitted = self._pose.fit(frame, se3.inverse(T_world_cam), matches, self._world, p_static, right_sigma)
+        n_inliers = int(np.count_nonzero(fitted.is_inlier))
+        if n_inliers < self.config.min_inliers:
+            return None
+        return se3.orthonormalize(se3.inverse(fitted.T_cam_world)), n_inliers
+
+    def _frame(self, sights: Sights, time_s: float) -> Frame:
+        """Return what is kept of a frame as a frame, without its image and descriptors."""
+        n, camera = len(sights.px), self._camera
+        keypoints = Keypoints(
+            px=sights.px,
+            raw_px=np.stack((sights.px[:, 0], sights.row.astype(np.float32)), axis=1),
+            octave=sights.octave.astype(np.int32),
+            angle_rad=np.zeros(n, dtype=np.float32),
+            descriptors=np.zeros((n, 32), dtype=np.uint8),
+            depth_m=sights.depth_m,
+            right_px=camera.right_coordinate(sights.px[:, 0], sights.depth_m),
+        )
+        image = RgbdImage(time_s, np.zeros((0, 0, 3), dtype=np.uint8), np.zeros((0, 0), dtype=np.float32))
+        return Frame(image, camera, self._world.scales, keypoints, np.ones(n, dtype=np.bool_))
+
+
+class NoLastLook:
+    """The null object: keeps nothing, and leaves poses as they are."""
+
+    n_improved, n_forgotten = 0, 0
+
+    def keep(self, tracked: Tracked) -> None:
+        """Do nothing."""
+
+    def repeat(self) -> None:
+        """Do nothing."""
+
+    def again(self, results: Sequence[FrameSummary]) -> list[FrameSummary]:
+        """Return the results as they are."""
+        return list(results)
+
+
+class _Motion(NamedTuple):
+    """How the camera moves around a frame: the pose after it (4, 4), T_cam_world, and the one before, where known."""
+
+    after: F64
+    before: Before | None
+
+
+def _each_once(point_ids: I32) -> I32:
+    """Return the points that keypoints see (N,), −1 for none, each for the first that sees it: some were fused since."""
+    once = np.full_like(point_ids, -1)
+    _, first = np.unique(point_ids, return_index=True)
+    once[first] = point_ids[first]
+    return once

@@ -62,8 +62,8 @@ def test_pose_and_velocity_are_found_where_one_for_all_rows_is_wrong() -> None:
     small = SmallMap.of(WORLD, [np.eye(4), pose(0.02)])
     frame, seen = look(pose(0.04))
     matches, guess = matches_of(small, seen), se3.inverse(pose(0.04))
-    moving = rolling(turn_rad_s=1.0, speed_m_s=0.3).fit(frame, guess, matches, small.map, None, 1.0)
-    still = GlobalShutter(PoseOptimizerConfig()).fit(frame, guess, matches, small.map, None, 1.0)
+    moving = rolling(turn_rad_s=1.0, speed_m_s=0.3).fit(frame, guess, matches, small.map.points.position_m, None, 1.0)
+    still = GlobalShutter(PoseOptimizerConfig()).fit(frame, guess, matches, small.map.points.position_m, None, 1.0)
     assert moving.velocity is not None
     np.testing.assert_allclose(moving.velocity[3:], VELOCITY[3:], atol=0.15)
     assert pose_error(moving.T_cam_world, pose(0.04)) < 0.4 * pose_error(still.T_cam_world, pose(0.04))
@@ -82,7 +82,9 @@ def test_a_frame_moved_by_the_right_velocity_has_nothing_left_to_find() -> None:
     np.testing.assert_allclose(
         moved.keypoints.right_px, CAMERA.right_coordinate(moved.keypoints.px[:, 0], frame.keypoints.depth_m)
     )
-    fitted = rolling().fit(moved, se3.inverse(pose(0.04)), matches_of(small, seen), small.map, None, 1.0)
+    fitted = rolling().fit(
+        moved, se3.inverse(pose(0.04)), matches_of(small, seen), small.map.points.position_m, None, 1.0
+    )
     assert fitted.velocity is not None
     assert np.abs(fitted.velocity).max() < 0.05
 

@@ -3,7 +3,8 @@
 While a run goes on, a frame knows the map that was there: points that nothing but one depth image placed, keyframes
 that were adjusted later. What each frame saw of the map is kept, in 20 bytes a match, and its pose is found again from
 it when the map is finished, by the same `PoseFit` and from static points only. Under a rolling shutter the velocity
-that is expected then comes from the frames before and after.
+that is expected then comes from the frames before and after. Keyframes alone have placed the points; a second look is
+at points that all frames have placed, whose noise is averaged over ten times as many images.
 """
 
 from collections import deque
@@ -20,11 +21,13 @@ from stillroom.data.map import Map
 from stillroom.data.matches import Matches
 from stillroom.data.result import FrameSummary, Tracked
 from stillroom.geometry import se3
-from stillroom.geometry.arrays import F32, F64, I32, U8, U16
+from stillroom.geometry.arrays import F32, F64, I32, U8, U16, Bool
 from stillroom.geometry.camera import Camera
+from stillroom.optimize.observations import intrinsics_of, observed_px
+from stillroom.optimize.points import PointSums, add_camera, placed
 from stillroom.optimize.trajectory_prior import LONGEST_STEP_S, TrajectoryPriorConfig, smoothed
 from stillroom.protocols import Parts
-from stillroom.tracking.shutter import Before, DepthNoiseConfig, PoseFit, turn_rad_s
+from stillroom.tracking.shutter import Before, turn_rad_s, weights_of
 from stillroom.tracking.tracker import TrackerConfig
 
 LEAST_KEYFRAMES = 2
@@ -37,17 +40,17 @@ class LastLookConfig:
 
     Attributes:
         enabled: Whether they are.
+        looks: How often; before each look but the first, points are placed anew by all frames that see them.
         min_inliers: Points that must agree with the new pose; with fewer a frame keeps the one it has.
         most_frames: Newest frames of which is kept what they saw, about 9 kB each; earlier ones keep their poses.
     """
 
     enabled: bool = False
+    looks: int = bounded(2, least=1)
     min_inliers: int = bounded(30, least=3)
     most_frames: int = bounded(10_000, least=1)
 
-    def build(
-        self, parts: Parts, tracking: TrackerConfig, prior: TrajectoryPriorConfig
-    ) -> "LastLook | NoLastLook":
+    def build(self, parts: Parts, tracking: TrackerConfig, prior: TrajectoryPriorConfig) -> "LastLook | NoLastLook":
         """Return what keeps the frames' sights and looks again, or never does.
 
         Args:
@@ -57,7 +60,7 @@ class LastLookConfig:
         """
         if not self.enabled:
             return NoLastLook()
-        return LastLook(self, parts, tracking.build_fit(parts.camera), tracking.depth, prior)
+        return LastLook(self, parts, tracking, prior)
 
 
 class Sights(NamedTuple):
@@ -104,13 +107,14 @@ class LastLook:
     """
 
     def __init__(
-        self, config: LastLookConfig, parts: Parts, pose: PoseFit, depth: DepthNoiseConfig, prior: TrajectoryPriorConfig
+        self, config: LastLookConfig, parts: Parts, tracking: TrackerConfig, prior: TrajectoryPriorConfig
     ) -> None:
         """Start before the first frame; see `LastLookConfig.build`."""
         self.config, self.n_improved, self.n_forgotten = config, 0, 0
         self._camera: Camera = parts.camera
         self._world: Map = parts.world
-        self._pose, self._depth, self._prior = pose, depth, prior
+        self._pose, self._depth, self._prior = tracking.build_fit(parts.camera), tracking.depth, prior
+        self._limits = tracking.pose.chi2_2d, tracking.pose.chi2_3d
         self._sights: deque[Sights | None] = deque()
 
     def keep(self, tracked: Tracked) -> None:
@@ -132,24 +136,22 @@ class LastLook:
         if not known:
             return looked
         T_world_reference = [self._world.keyframe_pose(results[i].reference_keyframe) for i in known]
-        T = np.array([T_world_reference[k] @ results[i].T_reference_cam for k, i in enumerate(known)])
-        times_s = np.array([results[i].timestamp_s for i in known])
-        motion = self._motion(times_s, T, np.array([float(results[i].n_agreeing) for i in known]))
-        last: Sights | None = None
-        found: tuple[F64, int] | None = None
-        for k, i in enumerate(known):
-            sights = self._sights[i - self.n_forgotten] if i >= self.n_forgotten else None
-            if sights is None:
-                found = None
-            elif sights is last:  # an image that repeats the one before: its pose, and no more to say
-                found = None if found is None else (found[0], 0)
-            else:
-                found = self._fitted(sights, times_s[k], T[k], motion[k])
-            last = sights
-            if found is not None:
-                T_reference_cam = se3.inverse(T_world_reference[k]) @ found[0]
-                looked[i] = replace(results[i], T_reference_cam=T_reference_cam, n_agreeing=found[1])
-                self.n_improved += 1
+        frames = Frames(
+            np.array([results[i].timestamp_s for i in known]),
+            np.array([T_world_reference[k] @ results[i].T_reference_cam for k, i in enumerate(known)]),
+            np.array([float(results[i].n_agreeing) for i in known]),
+            [self._sights[i - self.n_forgotten] if i >= self.n_forgotten else None for i in known],
+        )
+        position_m = self._world.points.position_m.copy()
+        is_new = self._look(frames, position_m)
+        for _ in range(self.config.looks - 1):
+            position_m = self._placed(frames, position_m)
+            is_new |= self._look(frames, position_m)
+        for k in np.flatnonzero(is_new):
+            T_reference_cam = se3.inverse(T_world_reference[k]) @ frames.T_world_cam[k]
+            i, n_agreeing = known[k], int(frames.n_agreeing[k])
+            looked[i] = replace(results[i], T_reference_cam=T_reference_cam, n_agreeing=n_agreeing)
+        self.n_improved = int(np.count_nonzero(is_new))
         return looked
 
     def _add(self, sights: Sights | None) -> None:
@@ -158,32 +160,57 @@ class LastLook:
             self._sights.popleft()
             self.n_forgotten += 1
 
-    def _motion(self, times_s: F64, T: F64, n_agreeing: F64) -> list["_Motion"]:
-        """Return how the camera moves around each of its poses (N, 4, 4)."""
-        near = smoothed(times_s, T, n_agreeing, self._prior) if self._prior.enabled else T
-        moves = []
-        for k in range(len(near)):
-            first = k - 1 if k > 0 and times_s[k] - times_s[k - 1] <= LONGEST_STEP_S else k
-            end = k + 1 if k + 1 < len(near) and times_s[k + 1] - times_s[k] <= LONGEST_STEP_S else k
-            before = Before(near[first], float(times_s[end] - times_s[first])) if end > first else None
-            moves.append(_Motion(se3.inverse(near[end]), before))
-        return moves
+    def _look(self, frames: "Frames", position_m: F64) -> Bool:
+        """Fit all frames to points (P, 3) [m]; return which of them (N,) have a new pose."""
+        is_new, motion = np.zeros(len(frames.sights), dtype=np.bool_), frames.motion(self._prior)
+        for k, sights in enumerate(frames.sights):
+            if sights is None:
+                continue
+            if k > 0 and sights is frames.sights[k - 1]:  # an image that repeats the one before has its pose
+                frames.T_world_cam[k], is_new[k] = frames.T_world_cam[k - 1], is_new[k - 1]
+                continue
+            view = self._view(sights, frames.times_s[k], motion[k])
+            if len(view.matches) < self.config.min_inliers:
+                continue
+            guess = se3.inverse(frames.T_world_cam[k])
+            fitted = self._pose.fit(view.frame, guess, view.matches, position_m, view.p_static, view.right_sigma)
+            n_inliers = np.count_nonzero(fitted.is_inlier)
+            if n_inliers >= self.config.min_inliers:
+                frames.T_world_cam[k] = se3.orthonormalize(se3.inverse(fitted.T_cam_world))
+                frames.n_agreeing[k], is_new[k] = n_inliers, True
+        return is_new
 
-    def _fitted(self, sights: Sights, time_s: float, T_world_cam: F64, motion: "_Motion") -> tuple[F64, int] | None:
-        """Return a frame's pose (4, 4) and the points that agree with it; None where there are too few."""
+    def _placed(self, frames: "Frames", position_m: F64) -> F64:
+        """Return where all frames together see the points (P, 3) [m]; the map keeps its own."""
+        sums, motion, limits = PointSums.nothing(len(position_m)), frames.motion(self._prior), self._limits
+        for k, sights in enumerate(frames.sights):
+            if sights is None or (k > 0 and sights is frames.sights[k - 1]):
+                continue
+            view = self._view(sights, frames.times_s[k], motion[k])
+            kp, chosen = view.frame.keypoints, view.matches.keypoint
+            add_camera(
+                sums,
+                position_m,
+                view.matches.point_id,
+                se3.inverse(motion[k].T_world_cam),
+                observed_px(kp.px[chosen], kp.right_px[chosen]),
+                weights_of(view.frame, view.matches, view.right_sigma),
+                np.ones(len(chosen)) if view.p_static is None else view.p_static[chosen].astype(np.float64),
+                limits,
+                intrinsics_of(self._camera),
+            )
+        return placed(sums, position_m)
+
+    def _view(self, sights: Sights, time_s: float, motion: "Motion") -> "_View":
+        """Return what is kept of a frame as pose and points are fitted to it, at mid-frame as far as motion tells."""
         ids = self._world.current_ids(sights.point_ids)
         ids[self._world.points.n_keyframes[ids] < LEAST_KEYFRAMES] = -1  # a −1 reads the last point, and stays −1
-        frame = self._pose.at_mid_frame(self._frame(sights, time_s), self._pose.expected(*motion))
-        p_static = None if sights.p_static is None else sights.p_static.astype(np.float32) / np.float32(255.0)
-        right_sigma = self._depth.right_sigma_at(turn_rad_s(*motion))
-        matches = Matches.of(_each_once(ids))
-        if len(matches) < self.config.min_inliers:
-            return None
-        fitted = self._pose.fit(frame, se3.inverse(T_world_cam), matches, self._world, p_static, right_sigma)
-        n_inliers = int(np.count_nonzero(fitted.is_inlier))
-        if n_inliers < self.config.min_inliers:
-            return None
-        return se3.orthonormalize(se3.inverse(fitted.T_cam_world)), n_inliers
+        return _View(
+            self._pose.at_mid_frame(self._frame(sights, time_s), self._pose.expected(motion.after, motion.before)),
+            Matches.of(_each_once(ids)),
+            None if sights.p_static is None else sights.p_static.astype(np.float32) / np.float32(255.0),
+            self._depth.right_sigma_at(turn_rad_s(motion.after, motion.before)),
+        )
 
     def _frame(self, sights: Sights, time_s: float) -> Frame:
         """Return what is kept of a frame as a frame, without its image and descriptors."""
@@ -217,15 +244,55 @@ class NoLastLook:
         return list(results)
 
 
-class _Motion(NamedTuple):
-    """How the camera moves around a frame: the pose after it (4, 4), T_cam_world, and the one before, where known."""
+class Motion(NamedTuple):
+    """How the camera moves around a frame: its pose (4, 4), the one after it, T_cam_world, and the one before."""
 
+    T_world_cam: F64
     after: F64
     before: Before | None
 
 
+@dataclass
+class Frames:
+    """The N frames that have a pose.
+
+    Attributes:
+        times_s: Their times (N,) [s].
+        T_world_cam: Their poses (N, 4, 4), as known by now.
+        n_agreeing: Points that each pose was found from (N,) float64.
+        sights: What each saw; None where it was not kept.
+    """
+
+    times_s: F64
+    T_world_cam: F64
+    n_agreeing: F64
+    sights: list[Sights | None]
+
+    def motion(self, prior: TrajectoryPriorConfig) -> list[Motion]:
+        """Return how the camera moves around each frame, under the prior where it is in use."""
+        times_s, T = self.times_s, self.T_world_cam
+        if prior.enabled:
+            T = smoothed(times_s, T, self.n_agreeing, prior)
+        is_near = np.concatenate(([False], np.diff(times_s) <= LONGEST_STEP_S, [False]))
+        motion = []
+        for k in range(len(T)):
+            first, last = k - is_near[k], k + is_near[k + 1]
+            before = Before(T[first], float(times_s[last] - times_s[first])) if last > first else None
+            motion.append(Motion(T[k], se3.inverse(T[last]), before))
+        return motion
+
+
+class _View(NamedTuple):
+    """What the fits of poses and points take of a frame."""
+
+    frame: Frame
+    matches: Matches
+    p_static: F32 | None
+    right_sigma: float
+
+
 def _each_once(point_ids: I32) -> I32:
-    """Return the points that keypoints see (N,), −1 for none, each for the first that sees it: some were fused since."""
+    """Return the points that keypoints see (N,), −1 for none, each once: some were fused since."""
     once = np.full_like(point_ids, -1)
     _, first = np.unique(point_ids, return_index=True)
     once[first] = point_ids[first]

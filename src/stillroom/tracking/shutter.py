@@ -7,7 +7,6 @@ import numpy as np
 
 from stillroom.bounds import bounded
 from stillroom.data.frame import Frame
-from stillroom.data.map import Map
 from stillroom.data.matches import Matches
 from stillroom.geometry import se3, twists
 from stillroom.geometry.arrays import F32, F64, Bool
@@ -54,7 +53,7 @@ class PoseFit(Protocol):
         """Return the velocity (6,) [m/s, rad/s] expected at a guess (4, 4) of the pose; None where none matters."""
 
     def fit(
-        self, frame: Frame, guess: F64, matches: Matches, world: Map, p_static: F32 | None, right_sigma: float
+        self, frame: Frame, guess: F64, matches: Matches, position_m: F64, p_static: F32 | None, right_sigma: float
     ) -> Fitted:
         """Return the pose near a guess (4, 4).
 
@@ -62,7 +61,7 @@ class PoseFit(Protocol):
             frame: The frame.
             guess: The guess.
             matches: Its pairs with map points.
-            world: The map.
+            position_m: Where the points of the map are (P, 3) [m, world], by their ids.
             p_static: Weights of its keypoints (N,); None for 1.
             right_sigma: Standard deviation of right coordinates, as a share of that of the left ones.
         """
@@ -83,14 +82,14 @@ class GlobalShutter:
         return
 
     def fit(
-        self, frame: Frame, guess: F64, matches: Matches, world: Map, p_static: F32 | None, right_sigma: float
+        self, frame: Frame, guess: F64, matches: Matches, position_m: F64, p_static: F32 | None, right_sigma: float
     ) -> Fitted:
         """Return the pose."""
         kp = frame.keypoints
         right_px = kp.right_px[matches.keypoint]
         estimate = self._optimize(
             guess,
-            world.points.position_m[matches.point_id],
+            position_m[matches.point_id],
             observations.observed_px(kp.px[matches.keypoint], right_px),
             weights_of(frame, matches, right_sigma),
             frame.camera,
@@ -148,7 +147,7 @@ class RollingShutter:
         return expected_velocity(guess, before)
 
     def fit(
-        self, frame: Frame, guess: F64, matches: Matches, world: Map, p_static: F32 | None, right_sigma: float
+        self, frame: Frame, guess: F64, matches: Matches, position_m: F64, p_static: F32 | None, right_sigma: float
     ) -> Fitted:
         """Return the pose, and how far the velocity differs from the one that was expected."""
         kp = frame.keypoints
@@ -156,7 +155,7 @@ class RollingShutter:
         estimate = self._optimize(
             guess,
             np.zeros(6),
-            world.points.position_m[matches.point_id],
+            position_m[matches.point_id],
             observations.observed_px(kp.px[matches.keypoint], right_px),
             weights_of(frame, matches, right_sigma),
             frame.camera.rows_after_s(kp.raw_px[matches.keypoint, 1]),

@@ -401,7 +401,8 @@ class Tracker:
     def _fix(self, frame: Frame, guess: F64, matches: Matches, motion: Motion, world: Map) -> _Fix:
         """Optimise the pose over the matches and return it with its inliers."""
         right_sigma = self.config.depth.right_sigma_at(turn_rad_s(guess, self._before(frame, world)))
-        fitted = self._pose.fit(frame, guess, matches, world, motion.p_static, right_sigma)
+        position_m = world.points.position_m
+        fitted = self._pose.fit(frame, guess, matches, position_m, motion.p_static, right_sigma)
         point_ids = np.full(len(frame), -1, dtype=np.int32)
         inlier = fitted.is_inlier
         point_ids[matches.keypoint[inlier]] = matches.point_id[inlier]

@@ -7,6 +7,7 @@ that is expected then comes from the frames before and after. Keyframes alone ha
 at points that all frames have placed, whose noise is averaged over ten times as many images.
 """
 
+import logging
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -27,9 +28,10 @@ from stillroom.optimize.observations import intrinsics_of, observed_px
 from stillroom.optimize.points import PointSums, add_camera, placed
 from stillroom.optimize.trajectory_prior import LONGEST_STEP_S, TrajectoryPriorConfig, smoothed
 from stillroom.protocols import Parts
-from stillroom.tracking.shutter import Before, turn_rad_s, weights_of
+from stillroom.tracking.shutter import expected_velocities, weights_of
 from stillroom.tracking.tracker import TrackerConfig
 
+log = logging.getLogger(__name__)
 LEAST_KEYFRAMES = 2
 """A point that one keyframe alone sees lies where that frame's depth put it, and tells nothing new."""
 
@@ -132,25 +134,33 @@ class LastLook:
             results: The frames in order, one for each that was kept.
         """
         looked, self.n_improved = list(results), 0
-        known = [i for i, result in enumerate(results) if result.T_reference_cam is not None]
+        if self.n_forgotten:
+            log.warning(
+                "the first %d of %d frames keep their poses: more than 'last_look.most_frames' are not kept for a last "
+                "look at the map",
+                self.n_forgotten,
+                len(results),
+            )
+        posed = [(i, result.T_reference_cam) for i, result in enumerate(results)]
+        known = [(i, T_reference_cam) for i, T_reference_cam in posed if T_reference_cam is not None]
         if not known:
             return looked
-        T_world_reference = [self._world.keyframe_pose(results[i].reference_keyframe) for i in known]
+        T_world_reference = [self._world.keyframe_pose(results[i].reference_keyframe) for i, _ in known]
         frames = Frames(
-            np.array([results[i].timestamp_s for i in known]),
-            np.array([T_world_reference[k] @ results[i].T_reference_cam for k, i in enumerate(known)]),
-            np.array([float(results[i].n_agreeing) for i in known]),
-            [self._sights[i - self.n_forgotten] if i >= self.n_forgotten else None for i in known],
+            np.array([results[i].timestamp_s for i, _ in known]),
+            np.array([T @ T_reference_cam for T, (_, T_reference_cam) in zip(T_world_reference, known, strict=True)]),
+            np.array([float(results[i].n_agreeing) for i, _ in known]),
+            self._as_known_now([i for i, _ in known]),
         )
-        position_m = self._world.points.position_m.copy()
-        is_new = self._look(frames, position_m)
-        for _ in range(self.config.looks - 1):
-            position_m = self._placed(frames, position_m)
-            is_new |= self._look(frames, position_m)
+        position_m, is_new = self._world.points.position_m.copy(), np.zeros(len(known), dtype=np.bool_)
+        for number in range(self.config.looks):
+            motion = frames.motion(self._prior)
+            if number > 0:
+                position_m = self._placed(frames, motion, position_m)
+            is_new |= self._look(frames, motion, position_m)
         for k in np.flatnonzero(is_new):
-            T_reference_cam = se3.inverse(T_world_reference[k]) @ frames.T_world_cam[k]
-            i, n_agreeing = known[k], int(frames.n_agreeing[k])
-            looked[i] = replace(results[i], T_reference_cam=T_reference_cam, n_agreeing=n_agreeing)
+            i, T_reference_cam = known[k][0], se3.inverse(T_world_reference[k]) @ frames.T_world_cam[k]
+            looked[i] = replace(results[i], T_reference_cam=T_reference_cam, n_agreeing=int(frames.n_agreeing[k]))
         self.n_improved = int(np.count_nonzero(is_new))
         return looked
 
@@ -160,16 +170,29 @@ class LastLook:
             self._sights.popleft()
             self.n_forgotten += 1
 
-    def _look(self, frames: "Frames", position_m: F64) -> Bool:
+    def _as_known_now(self, places: list[int]) -> list[Sights | None]:
+        """Return what the frames at some places saw, −1 for points that are gone or tell nothing, each once a frame."""
+        kept = [self._sights[i - self.n_forgotten] if i >= self.n_forgotten else None for i in places]
+        known: list[Sights | None] = []
+        for k, sights in enumerate(kept):
+            if sights is None or (k > 0 and sights is kept[k - 1]):  # one that repeats the one before stays the same
+                known.append(None if sights is None else known[k - 1])
+                continue
+            ids = self._world.current_ids(sights.point_ids)
+            ids[self._world.points.n_keyframes[ids] < LEAST_KEYFRAMES] = -1  # a −1 reads the last point, and stays −1
+            known.append(sights._replace(point_ids=_each_once(ids)))
+        return known
+
+    def _look(self, frames: "Frames", motion: "Motion", position_m: F64) -> Bool:
         """Fit all frames to points (P, 3) [m]; return which of them (N,) have a new pose."""
-        is_new, motion = np.zeros(len(frames.sights), dtype=np.bool_), frames.motion(self._prior)
+        is_new = np.zeros(len(frames.sights), dtype=np.bool_)
         for k, sights in enumerate(frames.sights):
             if sights is None:
                 continue
             if k > 0 and sights is frames.sights[k - 1]:  # an image that repeats the one before has its pose
                 frames.T_world_cam[k], is_new[k] = frames.T_world_cam[k - 1], is_new[k - 1]
                 continue
-            view = self._view(sights, frames.times_s[k], motion[k])
+            view = self._view(sights, frames.times_s[k], motion.velocity[k])
             if len(view.matches) < self.config.min_inliers:
                 continue
             guess = se3.inverse(frames.T_world_cam[k])
@@ -180,36 +203,35 @@ class LastLook:
                 frames.n_agreeing[k], is_new[k] = n_inliers, True
         return is_new
 
-    def _placed(self, frames: "Frames", position_m: F64) -> F64:
+    def _placed(self, frames: "Frames", motion: "Motion", position_m: F64) -> F64:
         """Return where all frames together see the points (P, 3) [m]; the map keeps its own."""
-        sums, motion, limits = PointSums.nothing(len(position_m)), frames.motion(self._prior), self._limits
+        sums, intrinsics = PointSums.nothing(len(position_m)), intrinsics_of(self._camera)
         for k, sights in enumerate(frames.sights):
             if sights is None or (k > 0 and sights is frames.sights[k - 1]):
                 continue
-            view = self._view(sights, frames.times_s[k], motion[k])
+            view = self._view(sights, frames.times_s[k], motion.velocity[k])
             kp, chosen = view.frame.keypoints, view.matches.keypoint
             add_camera(
                 sums,
                 position_m,
                 view.matches.point_id,
-                se3.inverse(motion[k].T_world_cam),
+                motion.T_cam_world[k],
                 observed_px(kp.px[chosen], kp.right_px[chosen]),
                 weights_of(view.frame, view.matches, view.right_sigma),
                 np.ones(len(chosen)) if view.p_static is None else view.p_static[chosen].astype(np.float64),
-                limits,
-                intrinsics_of(self._camera),
+                self._limits,
+                intrinsics,
             )
-        return placed(sums, position_m)
+        moved: F64 = placed(sums, position_m)
+        return moved
 
-    def _view(self, sights: Sights, time_s: float, motion: "Motion") -> "_View":
-        """Return what is kept of a frame as pose and points are fitted to it, at mid-frame as far as motion tells."""
-        ids = self._world.current_ids(sights.point_ids)
-        ids[self._world.points.n_keyframes[ids] < LEAST_KEYFRAMES] = -1  # a −1 reads the last point, and stays −1
+    def _view(self, sights: Sights, time_s: float, velocity: F64) -> "_View":
+        """Return what is kept of a frame as pose and points are fitted to it, moved to mid-frame by a velocity."""
         return _View(
-            self._pose.at_mid_frame(self._frame(sights, time_s), self._pose.expected(motion.after, motion.before)),
-            Matches.of(_each_once(ids)),
+            self._pose.at_mid_frame(self._frame(sights, time_s), velocity),
+            Matches.of(sights.point_ids),
             None if sights.p_static is None else sights.p_static.astype(np.float32) / np.float32(255.0),
-            self._depth.right_sigma_at(turn_rad_s(motion.after, motion.before)),
+            self._depth.right_sigma_at(float(np.linalg.norm(velocity[3:]))),
         )
 
     def _frame(self, sights: Sights, time_s: float) -> Frame:
@@ -245,11 +267,10 @@ class NoLastLook:
 
 
 class Motion(NamedTuple):
-    """How the camera moves around a frame: its pose (4, 4), the one after it, T_cam_world, and the one before."""
+    """How the camera moves: its poses (N, 4, 4), T_cam_world, and its velocities (N, 6) [m/s, rad/s]."""
 
-    T_world_cam: F64
-    after: F64
-    before: Before | None
+    T_cam_world: F64
+    velocity: F64
 
 
 @dataclass
@@ -268,18 +289,15 @@ class Frames:
     n_agreeing: F64
     sights: list[Sights | None]
 
-    def motion(self, prior: TrajectoryPriorConfig) -> list[Motion]:
-        """Return how the camera moves around each frame, under the prior where it is in use."""
+    def motion(self, prior: TrajectoryPriorConfig) -> Motion:
+        """Return how the camera moves, under the prior where it is in use; 0 next to no frame."""
         times_s, T = self.times_s, self.T_world_cam
         if prior.enabled:
             T = smoothed(times_s, T, self.n_agreeing, prior)
+        T_cam_world = se3.inverse(T)
         is_near = np.concatenate(([False], np.diff(times_s) <= LONGEST_STEP_S, [False]))
-        motion = []
-        for k in range(len(T)):
-            first, last = k - is_near[k], k + is_near[k + 1]
-            before = Before(T[first], float(times_s[last] - times_s[first])) if last > first else None
-            motion.append(Motion(T[k], se3.inverse(T[last]), before))
-        return motion
+        first, last = np.arange(len(T)) - is_near[:-1], np.arange(len(T)) + is_near[1:]
+        return Motion(T_cam_world, expected_velocities(T_cam_world[last], T[first], times_s[last] - times_s[first]))
 
 
 class _View(NamedTuple):

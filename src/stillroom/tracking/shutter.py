@@ -195,7 +195,15 @@ def turn_rad_s(guess: F64, before: Before | None) -> float:
 
 def expected_velocity(guess: F64, before: Before | None) -> F64:
     """Return the velocity (6,) [m/s, rad/s] from the frame before to a guess (4, 4); 0 where there is none."""
-    if before is None or not before.ago_s > 0.0:
+    if before is None:
         return np.zeros(6)
-    velocity: F64 = twists.log((guess @ before.T_world_cam)[None])[0] / before.ago_s
-    return velocity if np.linalg.norm(velocity[3:]) <= FASTEST_TURN_RAD_S else np.zeros(6)
+    velocity: F64 = expected_velocities(guess[None], before.T_world_cam[None], np.array([before.ago_s]))[0]
+    return velocity
+
+
+def expected_velocities(T_cam_world: F64, T_world_before: F64, ago_s: F64) -> F64:
+    """Return the velocities (N, 6) [m/s, rad/s] from earlier poses to later ones (N, 4, 4); 0 where no time passed."""
+    passed = np.where(ago_s > 0.0, ago_s, np.inf)
+    velocity: F64 = twists.log(T_cam_world @ T_world_before) / passed[:, None]
+    velocity[np.linalg.norm(velocity[:, 3:], axis=1) > FASTEST_TURN_RAD_S] = 0.0
+    return velocity

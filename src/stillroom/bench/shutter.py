@@ -1,4 +1,4 @@
-"""What a rolling shutter, the trajectory prior, depth weights and the turn limit are worth, alone and together."""
+"""What each part of the preset of our own is worth, alone and together with the others."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -14,10 +14,11 @@ from stillroom.tracking.shutter import GLOBAL, ROLLING, DepthNoiseConfig
 HEADER = ("what is modelled", "ATE median", "min", "max", "jitter", "faster", "slower", "RPE m/s", "deg/s", "tracked")
 """Names of the columns of `row`; ATE in m, the next three in mm."""
 NOTHING, PRIOR, SHUTTER, DEPTH, TURNS, ALL = "nothing", "prior", "shutter", "depth weights", "turn limit", "all"
+LOOK, ALL_BUT_LOOK = "last look", "all but last look"
 
 
 def shutter_parts(config: SlamConfig) -> dict[str, SlamConfig]:
-    """Return the configs by name, from a method's: nothing, each part alone, and all of them.
+    """Return the configs by name, from a method's: nothing, each part alone, all but the last look, and all.
 
     Values are the method's own where it has a part, else those of `stillroom`; depth weights are always those. There is
     no row for the turn limit where a method has no cluster sieve.
@@ -27,17 +28,21 @@ def shutter_parts(config: SlamConfig) -> dict[str, SlamConfig]:
         with_depth(config, 1.0),
         tracking=replace(config.tracking, shutter=GLOBAL, depth=DepthNoiseConfig()),
         trajectory=replace(config.trajectory, enabled=False),
+        last_look=replace(config.last_look, enabled=False),
         dynamics=_limited(config, ClusterSieveConfig().max_turn_rad_s),
     )
     rolling = replace(nothing.tracking, shutter=ROLLING)
-    limited = _limited(config, _turn_limit(config))
+    limited, look = _limited(config, _turn_limit(config)), replace(config.last_look, enabled=True)
+    unlooked = with_depth(replace(nothing, trajectory=prior, tracking=rolling, dynamics=limited), own.RIGHT_SIGMA)
     parts = {
         NOTHING: nothing,
         PRIOR: replace(nothing, trajectory=prior),
         SHUTTER: replace(nothing, tracking=rolling),
         DEPTH: with_depth(nothing, own.RIGHT_SIGMA),
         TURNS: replace(nothing, dynamics=limited),
-        ALL: with_depth(replace(nothing, trajectory=prior, tracking=rolling, dynamics=limited), own.RIGHT_SIGMA),
+        LOOK: replace(nothing, last_look=look),
+        ALL_BUT_LOOK: unlooked,
+        ALL: replace(unlooked, last_look=look),
     }
     if limited == nothing.dynamics:
         del parts[TURNS]

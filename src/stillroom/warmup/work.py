@@ -44,6 +44,7 @@ from stillroom.semantics.masks.refine import RefineConfig, refined
 from stillroom.semantics.masks.regions import RegionsConfig, as_semantics
 from stillroom.semantics.truth import TrueSemanticsConfig
 from stillroom.system import System, build
+from stillroom.tracking.last_look import LastLookConfig
 from stillroom.tracking.shutter import ROLLING
 from stillroom.tracking.tracker import TrackerConfig
 from stillroom.viz.cloud.render import CloudRendererConfig
@@ -147,8 +148,8 @@ def track() -> System:
 
 
 def roll() -> None:
-    """Track the scene as if its rows had been read one after the other."""
-    rolling = SlamConfig(tracking=TrackerConfig(shutter=ROLLING))
+    """Track the scene as if its rows had been read one after the other, and look at it once more."""
+    rolling = SlamConfig(tracking=TrackerConfig(shutter=ROLLING), last_look=LastLookConfig(enabled=True))
     system = build(rolling, replace(CAMERA, readout_s=READOUT_S))
     for image in islice(images(), N_ROLLED):
         system.process(image)

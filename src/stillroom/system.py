@@ -44,6 +44,7 @@ from stillroom.schedule import InOrder, Worker
 from stillroom.storage.keeper import NoKeeper
 from stillroom.tracking.flow_tracking import FlowTracking, OrbAlways
 from stillroom.tracking.keyframe_policy import KeyframePolicy
+from stillroom.tracking.last_look import LastLook, NoLastLook
 from stillroom.tracking.relocalizer import Relocalizer
 from stillroom.tracking.tracker import Tracker
 from stillroom.viz.no_observer import NoObserver
@@ -73,6 +74,7 @@ class System:
     map: Map
     observer: RunObserver
     prior: TrajectoryPriorConfig
+    last_look: LastLook | NoLastLook
     results: list[FrameSummary] = field(default_factory=list)
     first_keyframe: int = 0
     n_repeated: int = 0
@@ -126,6 +128,7 @@ class System:
         )  # fmt: skip
         self.n_repeated += 1
         self.results.append(repeated.summary)
+        self.last_look.repeat()
         self.keeper.note(repeated.summary)
         return repeated
 
@@ -179,11 +182,12 @@ class System:
         return self.schedule.submit(Worker.DENSE, self.dense_mapper.cloud).result()
 
     def close(self) -> None:
-        """Finish pending work, and optimise the whole map a last time."""
+        """Finish pending work, optimise the whole map a last time, and look at it once more from each frame."""
         try:
             self.schedule.submit(Worker.MAPPING, self.mapper.finish)
         finally:
             self.schedule.close()
+        self.results = self.last_look.again(self.results)
 
     def _begun(self, image: RgbdImage) -> tuple[Pending[Frame] | None, Perceived]:
         """Return what workers do with an image; those begun before it are dropped."""
@@ -259,6 +263,7 @@ class System:
             keypoints=frame.keypoints,
         )
         self.results.append(result.summary)
+        self.last_look.keep(tracked)
         self.keeper.note(result.summary)
         self.observer.on_frame(tracked, semantics.result(), result)
         return result
@@ -317,8 +322,7 @@ def build(
         keeper: Writes the map to disk; none by default.
 
     Raises:
-        ConfigError: A value is impossible.
-        WeightsError, VocabularyError: A network's weights are absent; the vocabulary of places cannot be read.
+        ConfigError, WeightsError, VocabularyError: A value, a network's weights or the vocabulary is unusable.
     """
     check(config)
     config = in_pixels_of(config, camera.pixel_scale)
@@ -352,6 +356,7 @@ def build(
         map=world,
         observer=observer or NoObserver(),
         prior=prior,
+        last_look=timed_part(config.last_look.build(parts, tracker, prior), clock, again="last look"),
         first_keyframe=len(world.keyframes),
     )
 

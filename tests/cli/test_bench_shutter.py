@@ -6,7 +6,18 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner, Result
 
-from stillroom.bench.shutter import ALL, DEPTH, HEADER, NOTHING, PRIOR, SHUTTER, TURNS, shutter_parts
+from stillroom.bench.shutter import (
+    ALL,
+    ALL_BUT_LOOK,
+    DEPTH,
+    HEADER,
+    LOOK,
+    NOTHING,
+    PRIOR,
+    SHUTTER,
+    TURNS,
+    shutter_parts,
+)
 from stillroom.cli.bench import app
 from stillroom.dynamics.cluster_sieve import ClusterSieveConfig
 from stillroom.presets.registry import configure
@@ -25,7 +36,7 @@ def figures(tmp_path_factory: pytest.TempPathFactory) -> tuple[Result, dict[str,
 
 def test_one_command_prints_a_row_for_each_part(figures: tuple[Result, Any]) -> None:
     result, rows = figures
-    assert list(rows) == [NOTHING, PRIOR, SHUTTER, DEPTH, ALL]
+    assert list(rows) == [NOTHING, PRIOR, SHUTTER, DEPTH, LOOK, ALL_BUT_LOOK, ALL]
     for name, row in rows.items():
         line = next(line for line in result.stdout.splitlines() if line.strip().startswith(f"{name} "))
         cells = line.strip().removeprefix(name).split()
@@ -43,22 +54,24 @@ def test_each_part_does_what_it_is_for(figures: tuple[Result, Any]) -> None:
     jitter_mm = {name: row["jitter_fast_slow_mm"][0]["median"] for name, row in rows.items()}
     assert ate_m[SHUTTER] < 0.5 * ate_m[NOTHING]
     assert jitter_mm[PRIOR] < 0.3 * jitter_mm[NOTHING]
-    assert ate_m[ALL] < 0.5 * ate_m[NOTHING]
+    assert ate_m[LOOK] < ate_m[NOTHING]
+    assert ate_m[ALL] < ate_m[ALL_BUT_LOOK] < 0.5 * ate_m[NOTHING]
     assert jitter_mm[ALL] < 0.3 * jitter_mm[SHUTTER]
 
 
 def test_the_configs_differ_in_what_they_say() -> None:
     own = configure("stillroom")
     parts = shutter_parts(own)
-    assert list(parts) == [NOTHING, PRIOR, SHUTTER, DEPTH, TURNS, ALL]
+    assert list(parts) == [NOTHING, PRIOR, SHUTTER, DEPTH, TURNS, LOOK, ALL_BUT_LOOK, ALL]
     assert parts[ALL] == own
     for name, config in parts.items():
-        assert (config.tracking.shutter == "rolling") == (name in (SHUTTER, ALL))
-        assert config.trajectory.enabled == (name in (PRIOR, ALL))
+        assert (config.tracking.shutter == "rolling") == (name in (SHUTTER, ALL_BUT_LOOK, ALL))
+        assert config.trajectory.enabled == (name in (PRIOR, ALL_BUT_LOOK, ALL))
         assert isinstance(config.dynamics, ClusterSieveConfig)
         sigmas = {config.tracking.depth.right_sigma, config.mapping.bundle.right_sigma, config.loops.bundle.right_sigma}
-        assert sigmas == {0.5 if name in (DEPTH, ALL) else 1.0}
-        assert (config.dynamics.max_turn_rad_s < 1.0) == (name in (TURNS, ALL))
+        assert sigmas == {0.5 if name in (DEPTH, ALL_BUT_LOOK, ALL) else 1.0}
+        assert (config.dynamics.max_turn_rad_s < 1.0) == (name in (TURNS, ALL_BUT_LOOK, ALL))
+        assert config.last_look.enabled == (name in (LOOK, ALL))
 
 
 def test_a_methods_own_values_are_kept() -> None:

@@ -136,3 +136,22 @@ def test_an_unknown_coverage_is_said_to_be_unknown(walk: tuple[Trajectory, Traje
 )
 def test_a_share_is_never_rounded_up_to_all(share: float | None, text: str) -> None:
     assert percent(share) == text
+
+
+def test_poses_known_earlier_are_compared_beside_the_final_ones_and_read_again(
+    marker_walk: tuple[Trajectory, Trajectory, Trajectory],
+) -> None:
+    estimate, marker, camera = marker_walk
+    poses = estimate.T_world_cam.copy()
+    poses[::2, 0, 3] += 0.01
+    online = Trajectory(estimate.timestamps_s, poses)
+    evaluation = evaluate(estimate, marker, groundtruth_camera=camera, online=online, lagged=estimate)
+    alone = evaluate(online, marker, groundtruth_camera=camera)
+    assert evaluation.online is not None
+    assert evaluation.lagged is not None
+    assert evaluation.online.ate_m == alone.as_given.ate_se3_m.rmse
+    assert evaluation.online.jitter_m == alone.at_camera.smoothness.jitter_m.rmse
+    assert evaluation.lagged.ate_m == evaluation.as_given.ate_se3_m.rmse
+    assert evaluation.lagged.n_compared == evaluation.as_given.n_compared
+    assert from_json(to_json(evaluation)) == evaluation
+    assert f"ATE {evaluation.online.ate_m:.4f} m" in as_text(evaluation)

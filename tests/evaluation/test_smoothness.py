@@ -92,3 +92,51 @@ def test_too_few_poses_are_refused() -> None:
     whole = with_errors(np.zeros((N, 3)))
     with pytest.raises(TrajectoryError, match="only 4 poses have truth around them; 5 are needed"):
         smoothness(Trajectory(whole.timestamps_s[:4], whole.T_world_cam[:4]), TRUTH)
+
+
+def wave(hertz: float, metres: float, times_s: np.ndarray) -> np.ndarray:
+    """Positions (N, 3) [m] that go to and fro."""
+    return np.stack((metres * np.sin(2 * np.pi * hertz * times_s), *2 * [np.zeros(len(times_s))]), axis=1)
+
+
+def shaking(times_s: np.ndarray, tremor_m: float) -> Trajectory:
+    """The path with a tremor of 3 Hz, in the world of the images' poses."""
+    poses = path(times_s).T_world_cam.copy()
+    poses[:, :3, 3] += wave(3.0, tremor_m, times_s)
+    return Trajectory(times_s, poses)
+
+
+@pytest.mark.parametrize("left", [1.0, 0.5, 1.5])
+def test_the_power_of_fast_motion_is_the_square_of_what_is_left_of_a_tremor(left: float) -> None:
+    truth = shaking(TRUTH.timestamps_s, 0.01)
+    estimate = shaking(TIMES_S, left * 0.01)
+    moved = Trajectory(TIMES_S, MOVED @ estimate.T_world_cam)
+    power = smoothness(moved, truth).fast_power
+    assert power == pytest.approx(left**2, rel=0.03)
+
+
+def test_slow_errors_are_no_fast_motion_and_gaps_end_a_piece() -> None:
+    truth = shaking(TRUTH.timestamps_s, 0.01)
+    poses = shaking(TIMES_S, 0.01).T_world_cam.copy()
+    poses[:, :3, 3] += wave(0.2, 0.1, TIMES_S)
+    poses[1500:, 2, 3] += 0.5
+    kept = np.r_[0:1480, 1510:N]
+    power = smoothness(Trajectory(TIMES_S[kept], poses[kept]), truth).fast_power
+    assert power == pytest.approx(1.0, rel=0.03)
+
+
+def test_smoothing_a_trajectory_takes_the_power_of_its_fast_motion() -> None:
+    """A Gaussian of four images leaves exp(−(2π f σ)²) of the power: over-smoothing shows."""
+    from scipy.ndimage import gaussian_filter1d
+
+    truth = shaking(TRUTH.timestamps_s, 0.01)
+    poses = shaking(TIMES_S, 0.01).T_world_cam.copy()
+    poses[:, :3, 3] = gaussian_filter1d(poses[:, :3, 3], 2.0, axis=0)
+    power = smoothness(Trajectory(TIMES_S, poses), truth).fast_power
+    assert power == pytest.approx(np.exp(-((2 * np.pi * 3.0 * 2.0 * STEP_S) ** 2)), rel=0.1)
+
+
+def test_a_short_trajectory_has_no_spectrum() -> None:
+    few = slice(0, 80)
+    short = with_errors(np.zeros((N, 3)))
+    assert smoothness(Trajectory(TIMES_S[few], short.T_world_cam[few]), TRUTH).fast_power is None

@@ -112,6 +112,27 @@ def test_a_method_with_a_trajectory_prior_writes_what_it_knows_five_frames_later
 
     # Each knows more of the motion than the one before.
     assert jitter_m("trajectory.tum") < jitter_m("trajectory_lag5.tum") < 0.7 * jitter_m("trajectory_online.tum")
+    figures = json.loads((folder / "metrics.json").read_text(encoding="utf-8"))
+    for name, file in (("online", "trajectory_online.tum"), ("lagged", "trajectory_lag5.tum")):
+        assert figures[name]["jitter_m"] == pytest.approx(jitter_m(file), rel=0.02)
+    again = evaluate_folder(folder, write=False).evaluation
+    assert again.online is not None
+    assert again.lagged is not None
+    assert again.lagged.ate_m == pytest.approx(figures["lagged"]["ate_m"], rel=0.02)
+
+
+def test_a_last_look_is_better_than_the_first_and_is_counted(tmp_path: Path) -> None:
+    dataset = open_dataset("synthetic:empty,frames=45")
+    ate_m = {}
+    for enabled in ("true", "false"):
+        config = configure("orb-slam2", None, [f"last_look.enabled={enabled}"])
+        outcome = run(dataset, config, RunOptions(root=tmp_path))
+        assert outcome.evaluation is not None
+        ate_m[enabled] = outcome.evaluation.as_given.ate_se3_m.rmse
+        figures = json.loads((folder_of(outcome) / "metrics.json").read_text(encoding="utf-8"))
+        assert figures["run"]["n_looked_again"] == (45 if enabled == "true" else 0)
+        assert figures["online"] is None  # without a prior the final poses alone are compared
+    assert ate_m["true"] < ate_m["false"]
 
 
 def test_the_config_makes_the_same_run_again(finished: RunOutcome) -> None:

@@ -63,10 +63,11 @@ def pose_error(found: np.ndarray, T_world_cam: np.ndarray) -> float:
 
 def test_pose_and_velocity_are_found_where_one_for_all_rows_is_wrong() -> None:
     small = SmallMap.of(WORLD, [np.eye(4), pose(0.02)])
+    position_m = small.map.points.position_m
     frame, seen = look(pose(0.04))
     matches, guess = matches_of(small, seen), se3.inverse(pose(0.04))
-    moving = rolling(turn_rad_s=1.0, speed_m_s=0.3).fit(frame, guess, matches, small.map, None, RightCoordinate())
-    still = GlobalShutter(PoseOptimizerConfig()).fit(frame, guess, matches, small.map, None, RightCoordinate())
+    moving = rolling(turn_rad_s=1.0, speed_m_s=0.3).fit(frame, guess, matches, position_m, None, RightCoordinate())
+    still = GlobalShutter(PoseOptimizerConfig()).fit(frame, guess, matches, position_m, None, RightCoordinate())
     assert moving.velocity is not None
     np.testing.assert_allclose(moving.velocity[3:], VELOCITY[3:], atol=0.15)
     assert pose_error(moving.T_cam_world, pose(0.04)) < 0.4 * pose_error(still.T_cam_world, pose(0.04))
@@ -76,6 +77,7 @@ def test_pose_and_velocity_are_found_where_one_for_all_rows_is_wrong() -> None:
 
 def test_a_frame_moved_by_the_right_velocity_has_nothing_left_to_find() -> None:
     small = SmallMap.of(WORLD, [np.eye(4), pose(0.02)])
+    position_m = small.map.points.position_m
     frame, seen = look(pose(0.04), noise_px=0.0)
     moved = rolling().at_mid_frame(frame, VELOCITY)
     middle, _ = WORLD.look(pose(0.04), seed=7, index=2)
@@ -85,7 +87,9 @@ def test_a_frame_moved_by_the_right_velocity_has_nothing_left_to_find() -> None:
     np.testing.assert_allclose(
         moved.keypoints.right_px, CAMERA.right_coordinate(moved.keypoints.px[:, 0], frame.keypoints.depth_m)
     )
-    fitted = rolling().fit(moved, se3.inverse(pose(0.04)), matches_of(small, seen), small.map, None, RightCoordinate())
+    fitted = rolling().fit(
+        moved, se3.inverse(pose(0.04)), matches_of(small, seen), position_m, None, RightCoordinate()
+    )
     assert fitted.velocity is not None
     assert np.abs(fitted.velocity).max() < 0.05
 
@@ -129,8 +133,8 @@ class KeepAll:
 @pytest.mark.parametrize("readout_s", [0.0, 0.03])
 def test_a_rolling_shutter_is_modelled_where_the_camera_has_one(readout_s: float) -> None:
     built = TrackerConfig(shutter="rolling").build(parts(replace(CAMERA, readout_s=readout_s)), KeepAll())
-    assert isinstance(built._pose, RollingShutter if readout_s else GlobalShutter)
-    assert isinstance(TrackerConfig().build(parts(ROLLING_CAMERA), KeepAll())._pose, GlobalShutter)
+    assert isinstance(built.pose, RollingShutter if readout_s else GlobalShutter)
+    assert isinstance(TrackerConfig().build(parts(ROLLING_CAMERA), KeepAll()).pose, GlobalShutter)
 
 
 def test_rows_have_the_times_of_the_image_as_taken() -> None:

@@ -5,15 +5,47 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from stillroom.bench.trial import Trial
+from stillroom.evaluation.earlier import Earlier
 from stillroom.evaluation.report import percent
 from stillroom.evaluation.timing import processor
 from stillroom.evaluation.trajectory_errors import Spread, improvement_percent
 
 HEADER = ("method", "ATE median", "mean", "min", "max", "improvement", "tracked", "RPE m/s", "deg/s")
 """Names of the columns of `Accuracy.row`; ATE in m."""
-SMOOTHNESS_HEADER = ("method", "jitter [mm]", "faster than 1 s [mm]", "slower [mm]", "ms a frame")
+SMOOTHNESS_HEADER = (
+    "method", "jitter [mm]", "faster than 1 s [mm]", "slower [mm]", "power > 1 Hz", "online ATE", "online jitter",
+    "lagged ATE", "lagged jitter", "ms a frame",
+)  # fmt: skip
 """Names of the columns of `Accuracy.smoothness_row`; milliseconds are of CPU."""
 NONE = "–"
+
+
+@dataclass(frozen=True)
+class EarlierSpread:
+    """The figures of poses as they were known earlier, over several runs.
+
+    Attributes:
+        ate_m: ATE RMSE, SE(3), ground truth as given [m].
+        jitter_m: Jitter [m]; None where one of the runs has none.
+    """
+
+    ate_m: Spread
+    jitter_m: Spread | None
+
+    @property
+    def jitter_cell(self) -> str:
+        """The median jitter for a table [mm]."""
+        return NONE if self.jitter_m is None else f"{1e3 * self.jitter_m.median:.1f}"
+
+    @staticmethod
+    def of(runs: Sequence[Earlier | None]) -> "EarlierSpread | None":
+        """Return those of some runs; None where one has none."""
+        known = [run for run in runs if run is not None]
+        if len(known) < len(runs) or not known:
+            return None
+        jitters_m = [run.jitter_m for run in known if run.jitter_m is not None]
+        jitter_m = Spread.of(jitters_m) if len(jitters_m) == len(known) else None
+        return EarlierSpread(Spread.of([run.ate_m for run in known]), jitter_m)
 
 
 @dataclass(frozen=True)
@@ -62,6 +94,21 @@ class Accuracy:
         return jitter, fast, slow
 
     @property
+    def fast_power(self) -> Spread | None:
+        """Power of the motion above 1 Hz as a share of the true one's; None where a run has none."""
+        known = [smooth.fast_power for trial in self.trials if (smooth := trial.smoothness) is not None]
+        shares = [share for share in known if share is not None]
+        return Spread.of(shares) if len(shares) == len(self.trials) else None
+
+    @property
+    def earlier(self) -> tuple[EarlierSpread | None, EarlierSpread | None]:
+        """Figures of the poses as known online and a few frames later; None where a run has none."""
+        known = [trial.evaluation for trial in self.trials if trial.evaluation is not None]
+        whole = len(known) == len(self.trials)
+        online, lagged = ([one.online for one in known], [one.lagged for one in known]) if whole else ([None], [None])
+        return EarlierSpread.of(online), EarlierSpread.of(lagged)
+
+    @property
     def still_camera_m(self) -> float | None:
         """ATE of the static-pose baseline [m], over the poses of the first run: a camera that never moved."""
         evaluation = self.trials[0].evaluation
@@ -96,11 +143,15 @@ class Accuracy:
     def smoothness_row(self) -> tuple[str, ...]:
         """Return the cells under `SMOOTHNESS_HEADER`: medians."""
         smooth = [NONE] * 3 if self.smoothness_mm is None else [f"{each.median:.1f}" for each in self.smoothness_mm]
+        smooth.append(NONE if self.fast_power is None else f"{self.fast_power.median:.2f}")
+        for known in self.earlier:
+            smooth += [NONE] * 2 if known is None else [f"{known.ate_m.median:.4f}", known.jitter_cell]
         return (self.method, *smooth, f"{self.frame_cpu_ms.median:.1f}")
 
     def to_dict(self, baseline: "Accuracy") -> dict[str, Any]:
         """Return the figures for a JSON file."""
         ate_m, rpe = self.ate_m, self.rpe
+        online, lagged = self.earlier
         return {
             "sequence": self.sequence,
             "method": self.method,
@@ -111,6 +162,9 @@ class Accuracy:
             "coverage": asdict(self.coverage),
             "rpe_translation_m_s": None if rpe is None else asdict(rpe[0]),
             "jitter_fast_slow_mm": self.smoothness_mm and [asdict(each) for each in self.smoothness_mm],
+            "fast_power": self.fast_power and asdict(self.fast_power),
+            "online": online and asdict(online),
+            "lagged": lagged and asdict(lagged),
             "frame_cpu_ms": asdict(self.frame_cpu_ms),
             "rpe_rotation_deg_s": None if rpe is None else asdict(rpe[1]),
             "runs": [trial.to_dict() for trial in self.trials],
@@ -125,7 +179,9 @@ def sentences(table: Sequence[Accuracy], dense: bool = False) -> list[str]:
         f"ATE: RMSE [m] after SE(3) alignment, ground truth as given, over {n} run{'s' if n > 1 else ''} with seeds "
         f"0 to {n - 1}; tracked: the worst run's share of {table[0].trials[0].n_given} frames; RPE over 1 s: median; "
         "jitter: RMS of the second difference of the position error from frame to frame, fast and slow: of the error "
-        "faster and slower than one second, medians; "
+        "faster and slower than one second, medians; power above 1 Hz: of the estimated motion, as a share of the true "
+        "one's; online, lagged: poses as known when their images were processed, and a few frames later, of methods "
+        "with a trajectory prior; "
         f"ms a frame: CPU time, network and mapping included, {'with' if dense else 'without'} the dense map, median "
         f"of the runs' means, one thread of: {processor()}"
     ]

@@ -1,4 +1,4 @@
-"""What a rolling shutter, the trajectory prior, depth weights and the turn limit are worth, alone and together."""
+"""What each part of the preset of our own is worth, alone and together with the others."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -8,16 +8,18 @@ from stillroom.config import SlamConfig
 from stillroom.config.kinds import MatchSieveConfig
 from stillroom.dynamics.cluster_sieve import ClusterSieveConfig
 from stillroom.evaluation.report import percent
+from stillroom.optimize.bundle import BundleConfig
 from stillroom.presets import stillroom as own
 from stillroom.tracking.shutter import GLOBAL, ROLLING, DepthNoiseConfig
 
 HEADER = ("what is modelled", "ATE median", "min", "max", "jitter", "faster", "slower", "RPE m/s", "deg/s", "tracked")
 """Names of the columns of `row`; ATE in m, the next three in mm."""
 NOTHING, PRIOR, SHUTTER, DEPTH, TURNS, ALL = "nothing", "prior", "shutter", "depth weights", "turn limit", "all"
+LOOK, ALL_BUT_LOOK = "last look", "all but last look"
 
 
 def shutter_parts(config: SlamConfig) -> dict[str, SlamConfig]:
-    """Return the configs by name, from a method's: nothing, each part alone, and all of them.
+    """Return the configs by name, from a method's: nothing, each part alone, all but the last look, and all.
 
     Values are the method's own where it has a part, else those of `stillroom`; depth weights are always those. There is
     no row for the turn limit where a method has no cluster sieve.
@@ -27,17 +29,21 @@ def shutter_parts(config: SlamConfig) -> dict[str, SlamConfig]:
         with_depth(config, DepthNoiseConfig()),
         tracking=replace(config.tracking, shutter=GLOBAL, depth=DepthNoiseConfig()),
         trajectory=replace(config.trajectory, enabled=False),
+        last_look=replace(config.last_look, enabled=False),
         dynamics=_limited(config, ClusterSieveConfig().max_turn_rad_s),
     )
     rolling = replace(nothing.tracking, shutter=ROLLING)
-    limited = _limited(config, _turn_limit(config))
+    limited, look = _limited(config, _turn_limit(config)), replace(config.last_look, enabled=True)
+    unlooked = with_depth(replace(nothing, trajectory=prior, tracking=rolling, dynamics=limited), own.DEPTH)
     parts = {
         NOTHING: nothing,
         PRIOR: replace(nothing, trajectory=prior),
         SHUTTER: replace(nothing, tracking=rolling),
         DEPTH: with_depth(nothing, own.DEPTH),
         TURNS: replace(nothing, dynamics=limited),
-        ALL: with_depth(replace(nothing, trajectory=prior, tracking=rolling, dynamics=limited), own.DEPTH),
+        LOOK: replace(nothing, last_look=look),
+        ALL_BUT_LOOK: unlooked,
+        ALL: replace(unlooked, last_look=look),
     }
     if limited == nothing.dynamics:
         del parts[TURNS]
@@ -47,14 +53,15 @@ def shutter_parts(config: SlamConfig) -> dict[str, SlamConfig]:
 def with_depth(config: SlamConfig, depth: DepthNoiseConfig) -> SlamConfig:
     """Return a config in which depth counts as it says, in poses and in all bundle adjustments."""
     mapping, loops = config.mapping, config.loops
-    same = {"right_sigma": depth.right_sigma, "depth_model": depth.model}
+
+    def weighed(bundle: BundleConfig) -> BundleConfig:
+        return replace(bundle, right_sigma=depth.right_sigma, depth_model=depth.model)
+
     return replace(
         config,
         tracking=replace(config.tracking, depth=depth),
-        mapping=replace(
-            mapping, bundle=replace(mapping.bundle, **same), looped_bundle=replace(mapping.looped_bundle, **same)
-        ),
-        loops=replace(loops, bundle=replace(loops.bundle, **same)),
+        mapping=replace(mapping, bundle=weighed(mapping.bundle), looped_bundle=weighed(mapping.looped_bundle)),
+        loops=replace(loops, bundle=weighed(loops.bundle)),
     )
 
 

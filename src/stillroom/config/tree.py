@@ -31,6 +31,7 @@ from stillroom.semantics.depth_clusters import NoClustersConfig
 from stillroom.semantics.no_segmenter import NothingConfig
 from stillroom.storage.keeper import MapKeeperConfig
 from stillroom.tracking.keyframe_policy import KeyframePolicyConfig
+from stillroom.tracking.last_look import LastLookConfig
 from stillroom.tracking.low_cost import NoLowCostConfig
 from stillroom.tracking.relocalizer import RelocalizerConfig
 from stillroom.tracking.tracker import TrackerConfig
@@ -53,6 +54,7 @@ class SlamConfig:
         places: The bag-of-words index of keyframes, for place recognition.
         tracking, recovery, keyframes, mapping, loops: ORB-SLAM2's parts.
         joining: When sub-maps are merged.
+        last_look: Whether frames are fitted to the finished map once more.
         trajectory: The prior under which the poses of all frames become one estimate.
         dense: The dense map (sieve 3); `kind` chooses the part.
         storage: What a map file keeps in addition to the map, where a run writes one.
@@ -73,6 +75,7 @@ class SlamConfig:
     mapping: LocalMapperConfig = field(default_factory=LocalMapperConfig)
     loops: LoopsConfig = field(default_factory=LoopsConfig)
     joining: JoiningConfig = field(default_factory=JoiningConfig)
+    last_look: LastLookConfig = field(default_factory=LastLookConfig)
     trajectory: TrajectoryPriorConfig = field(default_factory=TrajectoryPriorConfig)
     dense: DenseMappingConfig = field(default_factory=NoDenseMapConfig, metadata={"kinds": DENSE})
     storage: MapKeeperConfig = field(default_factory=MapKeeperConfig)

@@ -7,6 +7,7 @@ from typing import Any
 
 from stillroom.data.trajectory import Trajectory
 from stillroom.errors import TrajectoryError
+from stillroom.evaluation.earlier import Earlier, earlier
 from stillroom.evaluation.smoothness import Smoothness, smoothness
 from stillroom.evaluation.time_matching import TimeMatching, estimate_offset_s
 from stillroom.evaluation.trajectory_errors import (
@@ -79,6 +80,8 @@ class Evaluation:
         improvement: Against a baseline run, where one was named.
         offset_s: What was added to the estimate's times [s].
         interpolated: Whether the ground truth was interpolated at the estimate's times.
+        online: Figures of the poses as known when their images were processed, of methods with a trajectory prior.
+        lagged: The same of the poses as settled a few frames later.
     """
 
     n_tracked: int
@@ -88,6 +91,8 @@ class Evaluation:
     improvement: Improvement | None = None
     offset_s: float = 0.0
     interpolated: bool = False
+    online: Earlier | None = None
+    lagged: Earlier | None = None
 
     @property
     def coverage(self) -> float | None:
@@ -121,6 +126,8 @@ def evaluate(
     groundtruth_camera: Trajectory | None = None,
     n_given: int | None = None,
     matching: TimeMatching | None = None,
+    online: Trajectory | None = None,
+    lagged: Trajectory | None = None,
 ) -> Evaluation:
     """Compute all figures of a trajectory that the literature reports.
 
@@ -130,6 +137,7 @@ def evaluate(
         groundtruth_camera: True poses of the camera itself, where those given are of another body.
         n_given: Frames that were recorded.
         matching: How poses find each other in time; as TUM's tools do it where not given.
+        online, lagged: Poses as known when their images were processed, and a few frames later, where they matter.
 
     Raises:
         TrajectoryError: They cannot be compared.
@@ -147,6 +155,8 @@ def evaluate(
         at_camera=at_camera,
         offset_s=matching.offset_s or 0.0,
         interpolated=matching.interpolate,
+        online=None if online is None else earlier(online, groundtruth, groundtruth_camera, matching),
+        lagged=None if lagged is None else earlier(lagged, groundtruth, groundtruth_camera, matching),
     )
 
 
@@ -239,6 +249,13 @@ def lines(evaluation: Evaluation) -> list[str]:
             f"RPE means something only against the ground truth {evaluation.at_camera.groundtruth}: the given poses "
             "are those of another body"
         )
+    for when, known in (("when its image was processed", evaluation.online), ("a few frames later", evaluation.lagged)):
+        if known is not None:
+            jitter = "" if known.jitter_m is None else f", jitter {known.jitter_m:.4f} m"
+            sentences.append(f"each pose as it was known {when}: ATE {known.ate_m:.4f} m{jitter}")
+    smooth = evaluation.for_rpe.smoothness
+    if smooth is not None and smooth.fast_power is not None:
+        sentences.append(f"power of the motion above 1 Hz: {smooth.fast_power:.2f} of the true one's")
     if evaluation.improvement is not None:
         sentences.append(_improvement(evaluation.improvement))
     return sentences
@@ -342,6 +359,8 @@ def from_json(text: str) -> Evaluation:
             improvement=None if improvement is None else Improvement(**improvement),
             offset_s=float(data.get("offset_s", 0.0)),  # earlier versions knew no offset
             interpolated=bool(data.get("interpolated", False)),
+            online=_read_earlier(data.get("online")),  # earlier versions did not measure these two
+            lagged=_read_earlier(data.get("lagged")),
         )
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise TrajectoryError(
@@ -365,7 +384,18 @@ def _comparison(data: dict[str, Any]) -> Comparison:
 
 
 def _read_smoothness(data: dict[str, Any] | None) -> Smoothness | None:
-    return None if data is None else Smoothness(**{name: _statistics(value) for name, value in data.items()})
+    if data is None:
+        return None
+    power = data.get("fast_power")  # earlier versions measured none
+    errors = {name: _statistics(value) for name, value in data.items() if name != "fast_power"}
+    return Smoothness(**errors, fast_power=None if power is None else float(power))
+
+
+def _read_earlier(data: dict[str, Any] | None) -> Earlier | None:
+    if data is None:
+        return None
+    jitter_m = data["jitter_m"]
+    return Earlier(float(data["ate_m"]), None if jitter_m is None else float(jitter_m), int(data["n_compared"]))
 
 
 def _relative(data: dict[str, Any] | None) -> RelativeError | None:

@@ -1,4 +1,4 @@
-"""How smooth a trajectory is: its jitter, and its error faster and slower than one second."""
+"""How smooth a trajectory is: its jitter, its error faster and slower than one second, and how much motion is left."""
 
 from dataclasses import dataclass
 
@@ -16,6 +16,9 @@ WINDOW_S = 1.0
 LONGEST_STEP = 1.5
 """Times the median step between images: three of them further apart than that have no second difference."""
 MIN_POSES = 5
+FAST_HZ = 1.0
+SHORTEST_S = 3.0
+"""Over less time a spectrum does not tell what is faster than `FAST_HZ` from what leaks from slower motion."""
 
 
 @dataclass(frozen=True)
@@ -28,12 +31,15 @@ class Smoothness:
             relative errors, they mean something only where the truth is the camera's own.
         slow_m: The position error averaged over a second around each image: what drifts [m].
         fast_m: What is left of it: what jumps and shakes [m].
+        fast_power: Power of the estimated motion above 1 Hz as a share of the true one's. Well below 1, the camera's
+            own motion was smoothed away; well above, it shakes. None where no three seconds follow each other.
     """
 
     jitter_m: Statistics
     jitter_deg: Statistics
     slow_m: Statistics
     fast_m: Statistics
+    fast_power: float | None = None
 
 
 def smoothness(estimate: Trajectory, groundtruth: Trajectory) -> Smoothness:
@@ -59,6 +65,7 @@ def smoothness(estimate: Trajectory, groundtruth: Trajectory) -> Smoothness:
         jitter_deg=_norms(np.degrees(np.diff(_step_errors_rad(T, truth.T_world_cam), axis=0)[together])),
         slow_m=_norms(slow_m),
         fast_m=_norms(error_m - slow_m),
+        fast_power=_fast_power(times_s, aligned[:, :3, 3], truth.positions_m),
     )
 
 
@@ -82,6 +89,23 @@ def _follow_each_other(times_s: F64) -> Bool:
     close = steps_s <= LONGEST_STEP * np.median(steps_s)
     together: Bool = close[1:] & close[:-1]
     return together
+
+
+def _fast_power(times_s: F64, positions_m: F64, true_m: F64) -> float | None:
+    """Return the power of positions (N, 3) above `FAST_HZ` as a share of the true ones'; see `Smoothness`."""
+    step_s = float(np.median(np.diff(times_s)))
+    ends = np.flatnonzero(np.diff(times_s) > LONGEST_STEP * step_s) + 1
+    power = np.zeros(2)
+    for piece in np.split(np.arange(len(times_s)), ends):
+        even_s = np.arange(times_s[piece[0]], times_s[piece[-1]], step_s)
+        if len(even_s) * step_s < SHORTEST_S:
+            continue
+        is_fast = np.fft.rfftfreq(len(even_s), step_s) > FAST_HZ
+        for which, path_m in enumerate((positions_m, true_m)):
+            even_m = np.stack([np.interp(even_s, times_s[piece], path_m[piece, axis]) for axis in range(3)], axis=1)
+            windowed = (even_m - even_m.mean(axis=0)) * np.hanning(len(even_s))[:, None]
+            power[which] += (np.abs(np.fft.rfft(windowed, axis=0)[is_fast]) ** 2).sum() / len(even_s)
+    return float(power[0] / power[1]) if power[1] > 0.0 else None
 
 
 def _averaged(errors: F64, times_s: F64) -> F64:

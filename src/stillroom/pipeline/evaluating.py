@@ -35,12 +35,25 @@ class EvaluatedTrajectory:
     pictures: tuple[Path, ...] = ()
 
 
-def evaluate_trajectory(trajectory: Trajectory, truth: results.Truth | None, n_given: int) -> Evaluation | None:
+def evaluate_trajectory(
+    trajectory: Trajectory,
+    truth: results.Truth | None,
+    n_given: int,
+    online: Trajectory | None = None,
+    lagged: Trajectory | None = None,
+) -> Evaluation | None:
     """Evaluate a run; None, with a warning, where there is no ground truth or nothing to compare."""
     if truth is None:
         return None
     try:
-        return evaluate(trajectory, truth.as_given, groundtruth_camera=truth.at_camera, n_given=n_given)
+        return evaluate(
+            trajectory,
+            truth.as_given,
+            groundtruth_camera=truth.at_camera,
+            n_given=n_given,
+            online=online,
+            lagged=lagged,
+        )
     except TrajectoryError as error:
         log.warning("no figures: %s", error)
         return None
@@ -130,11 +143,15 @@ def _measured(path: Path, matching: TimeMatching | None) -> tuple[Path, Trajecto
             f"{folder}: the sequence has no ground truth, or none that could be read, so there is nothing to "
             "compare it with [see troubleshooting: groundtruth]"
         )
+    lagged = next(iter(sorted(folder.glob("trajectory_lag*.tum"))), None)
+    online = folder / results.ONLINE if lagged is not None and (folder / results.ONLINE).is_file() else None
     evaluation = evaluate(
         trajectory,
         truth.as_given,
         groundtruth_camera=truth.at_camera,
         n_given=results.count_frames(folder),
         matching=matching,
+        online=None if online is None else read_tum(online),
+        lagged=None if lagged is None else read_tum(lagged),
     )
     return folder, trajectory, truth, evaluation

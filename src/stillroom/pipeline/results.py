@@ -343,6 +343,8 @@ def run_figures(outcome: RunOutcome) -> dict[str, Any]:
         "n_unpaired": outcome.n_unpaired,
         "n_repeated": outcome.system.n_repeated,
         "readout": None if rows is None else asdict(rows),
+        "n_looked_again": outcome.system.last_look.n_improved,
+        "n_not_looked_again_for_memory": outcome.system.last_look.n_forgotten,
         "interrupted": outcome.interrupted,
         "n_pictures_failed": outcome.ornaments.n_failed,
         "n_frames_not_shown": outcome.ornaments.n_not_shown,

@@ -297,7 +297,9 @@ def _write_report(outcome: RunOutcome, folder: Path) -> None:
 
 
 def _evaluate(outcome: RunOutcome, trajectory: Trajectory, truth: results.Truth | None) -> None:
-    outcome.evaluation = evaluate_trajectory(trajectory, truth, outcome.n_recorded)
+    lagged = outcome.system.lagged_trajectory()
+    online = None if lagged is None else outcome.system.online_trajectory()
+    outcome.evaluation = evaluate_trajectory(trajectory, truth, outcome.n_recorded, online, lagged)
     if outcome.evaluation is not None:
         for doubt in doubts_of_figures(outcome.evaluation):
             log.warning("%s", doubt)

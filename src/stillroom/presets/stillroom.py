@@ -4,7 +4,8 @@ Boxes and clusters, each judged over more than one image by epipolar lines and a
 `oc-slam`. Beside them, each frame has a velocity, found with its pose from the times at which the rows of its image
 were read (`optimize/rolling_pose.py`; only for cameras whose `readout_s` is known), depth counts as much as structured
 light deserves and is that of the image's own time (`tracking/depth_clock.py`), nothing is evidence for motion while the
-camera turns fast, and the poses of all frames become one estimate under a prior of smooth motion
+camera turns fast, every frame is fitted once more to the finished map (`tracking/last_look.py`), and the poses of all
+frames become one estimate under a prior of smooth motion
 (`optimize/trajectory_prior.py`).
 """
 
@@ -17,6 +18,7 @@ from stillroom.optimize.bundle import BundleConfig
 from stillroom.optimize.trajectory_prior import TrajectoryPriorConfig
 from stillroom.presets import oc_slam
 from stillroom.presets.method import Method
+from stillroom.tracking.last_look import LastLookConfig
 from stillroom.tracking.shutter import ROLLING, DepthNoiseConfig
 
 _OC_SLAM = oc_slam.METHOD.config
@@ -37,6 +39,7 @@ METHOD = Method(
             looped_bundle=BundleConfig(first_damping=1e-8, right_sigma=RIGHT_SIGMA),
         ),
         loops=LoopsConfig(bundle=BundleConfig(first_damping=1e-8, right_sigma=RIGHT_SIGMA)),
+        last_look=LastLookConfig(enabled=True),
         trajectory=TrajectoryPriorConfig(enabled=True),
     ),
 )

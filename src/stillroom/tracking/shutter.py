@@ -59,7 +59,7 @@ class PoseFit(Protocol):
         """Return the velocity (6,) [m/s, rad/s] expected at a guess (4, 4) of the pose; None where none matters."""
 
     def fit(
-        self, frame: Frame, guess: F64, matches: Matches, world: Map, p_static: F32 | None, depth: DepthTerms
+        self, frame: Frame, guess: F64, matches: Matches, position_m: F64, p_static: F32 | None, depth: DepthTerms
     ) -> Fitted:
         """Return the pose near a guess (4, 4).
 
@@ -67,7 +67,7 @@ class PoseFit(Protocol):
             frame: The frame.
             guess: The guess.
             matches: Its pairs with map points.
-            world: The map.
+            position_m: Where the points of the map are (P, 3) [m, world], by their ids.
             p_static: Weights of its keypoints (N,); None for 1.
             depth: How much depth counts.
         """
@@ -104,13 +104,13 @@ class GlobalShutter:
         return
 
     def fit(
-        self, frame: Frame, guess: F64, matches: Matches, world: Map, p_static: F32 | None, depth: DepthTerms
+        self, frame: Frame, guess: F64, matches: Matches, position_m: F64, p_static: F32 | None, depth: DepthTerms
     ) -> Fitted:
         """Return the pose."""
         terms = terms_of(frame, matches, depth)
         estimate = self._optimize(
             guess,
-            world.points.position_m[matches.point_id],
+            position_m[matches.point_id],
             terms.observed_px,
             terms.weights,
             frame.camera,
@@ -223,17 +223,17 @@ class RollingShutter:
         return None if self._is_global else expected_velocity(guess, before)
 
     def fit(
-        self, frame: Frame, guess: F64, matches: Matches, world: Map, p_static: F32 | None, depth: DepthTerms
+        self, frame: Frame, guess: F64, matches: Matches, position_m: F64, p_static: F32 | None, depth: DepthTerms
     ) -> Fitted:
         """Return the pose, and how far the velocity differs from the one that was expected."""
         self._depth = depth
         if self._is_global:
-            return self._as_one.fit(frame, guess, matches, world, p_static, depth)
+            return self._as_one.fit(frame, guess, matches, position_m, p_static, depth)
         terms = terms_of(frame, matches, depth)
         estimate = self._optimize(
             guess,
             np.zeros(6),
-            world.points.position_m[matches.point_id],
+            position_m[matches.point_id],
             terms.observed_px,
             terms.weights,
             frame.camera.rows_after_s(frame.keypoints.raw_px[matches.keypoint, 1]),
@@ -245,7 +245,7 @@ class RollingShutter:
 
     def at_mid_frame(self, frame: Frame, velocity: F64 | None) -> Frame:
         """Return the frame with its keypoints moved; `raw_px` stays where they are in the image."""
-        if velocity is None or not velocity.any():
+        if velocity is None or self._is_global or not velocity.any():
             return frame
         kp, camera = frame.keypoints, frame.camera
         known = kp.depth_m[kp.depth_m > 0]
@@ -273,7 +273,7 @@ class RollingShutter:
         self._decided = frame.camera
         self._put_back = self._undecided.put_back(self._optimize_as_one, frame.camera, world)
         guess = se3.inverse(tracked.T_world_cam)
-        fitted = self._as_one.fit(taken, guess, matches, world, tracked.motion.p_static, self._depth)
+        fitted = self._as_one.fit(taken, guess, matches, world.points.position_m, tracked.motion.p_static, self._depth)
         return replace(tracked, frame=taken, T_world_cam=se3.orthonormalize(se3.inverse(fitted.T_cam_world)))
 
     def remember(self, tracked: Tracked, world: Map) -> None:
@@ -332,7 +332,15 @@ def turn_rad_s(guess: F64, before: Before | None) -> float:
 
 def expected_velocity(guess: F64, before: Before | None) -> F64:
     """Return the velocity (6,) [m/s, rad/s] from the frame before to a guess (4, 4); 0 where there is none."""
-    if before is None or not before.ago_s > 0.0:
+    if before is None:
         return np.zeros(6)
-    velocity: F64 = twists.log((guess @ before.T_world_cam)[None])[0] / before.ago_s
-    return velocity if np.linalg.norm(velocity[3:]) <= FASTEST_TURN_RAD_S else np.zeros(6)
+    velocity: F64 = expected_velocities(guess[None], before.T_world_cam[None], np.array([before.ago_s]))[0]
+    return velocity
+
+
+def expected_velocities(T_cam_world: F64, T_world_before: F64, ago_s: F64) -> F64:
+    """Return the velocities (N, 6) [m/s, rad/s] from earlier poses to later ones (N, 4, 4); 0 where no time passed."""
+    passed = np.where(ago_s > 0.0, ago_s, np.inf)
+    velocity: F64 = twists.log(T_cam_world @ T_world_before) / passed[:, None]
+    velocity[np.linalg.norm(velocity[:, 3:], axis=1) > FASTEST_TURN_RAD_S] = 0.0
+    return velocity

@@ -14,6 +14,7 @@ from stillroom.data.result import Recovery, Tracked, TrackingState
 from stillroom.data.semantics import Semantics
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64, I32
+from stillroom.geometry.camera import Camera
 from stillroom.optimize.pose import PoseOptimizerConfig
 from stillroom.protocols import KeypointSieve, MatchSieve, Parts, Pending, QuickTracking
 from stillroom.tracking import correspondences
@@ -152,10 +153,12 @@ class TrackerConfig:
 
     def build(self, parts: Parts, sieve: MatchSieve, quick: QuickTracking | None = None) -> "Tracker":
         """Return a tracker that calls the sieve, and starts from the pose of low-cost tracking where there is one."""
-        rolls = self.shutter == ROLLING and parts.camera.readout_s > 0.0
-        readout_s = parts.camera.readout_s
-        pose = RollingShutter(self.rolling, self.pose, readout_s) if rolls else GlobalShutter(self.pose)
-        return Tracker(self, sieve, quick or NoLowCost(), pose)
+        return Tracker(self, sieve, quick or NoLowCost(), self._build_fit(parts.camera))
+
+    def _build_fit(self, camera: Camera) -> PoseFit:
+        """Return how poses are found from matches."""
+        rolls = self.shutter == ROLLING and camera.readout_s > 0.0
+        return RollingShutter(self.rolling, self.pose, camera.readout_s) if rolls else GlobalShutter(self.pose)
 
     def build_flow(
         self, tracker: "Tracker", keypoint_sieve: KeypointSieve, keyframes: KeyframeRule
@@ -186,7 +189,7 @@ class Tracker:
 
     def __init__(self, config: TrackerConfig, sieve: MatchSieve, quick: QuickTracking, pose: PoseFit) -> None:
         """Start without earlier frames."""
-        self.config, self.sieve, self.quick, self._pose = config, sieve, quick, pose
+        self.config, self.sieve, self.quick, self.pose = config, sieve, quick, pose
         self._velocity = ConstantVelocity()
         self._last: Tracked | None = None
         self._T_reference_last: F64 | None = None
@@ -216,7 +219,7 @@ class Tracker:
                 frame = self._with_depth_in_time(frame, fix.T_cam_world, world)
         if fix is None or last is None:
             return _lost(frame, self._reference)
-        frame = self._pose.at_mid_frame(frame, fix.velocity)
+        frame = self.pose.at_mid_frame(frame, fix.velocity)
         return self._with_local_map(frame, fix, last.reference_keyframe, semantics, world)
 
     def start(self, frame: Frame, semantics: Pending[Semantics], world: Map) -> Tracked:
@@ -288,22 +291,22 @@ class Tracker:
         usable = Matches.of(np.where(frame.is_static, point_ids, np.int32(-1)))
         unasked = Motion.none(len(frame), frame.image.height, frame.image.width)
         fix = self._fix(frame, guess, usable, unasked, world)
-        frame = self._pose.at_mid_frame(frame, fix.velocity)
+        frame = self.pose.at_mid_frame(frame, fix.velocity)
         matches = Matches.of(fix.point_ids)
         motion = self.sieve.judge(Question(Stage.LOCAL_MAP, frame, matches, semantics, fix.T_cam_world, world))
         kept = matches.keep(motion.is_static[matches.keypoint])
         if len(kept) < len(matches) or motion.p_static is not None:
             fix = self._fix(frame, fix.T_cam_world, kept, motion, world)
-            frame = self._pose.at_mid_frame(frame, fix.velocity)
+            frame = self.pose.at_mid_frame(frame, fix.velocity)
         world.points.n_visible[matches.point_id] += 1
         world.points.n_found[fix.point_ids[fix.point_ids >= 0]] += 1
         T_world_cam = se3.orthonormalize(se3.inverse(fix.T_cam_world))
         tracked = Tracked(frame, TrackingState.OK, T_world_cam, fix.point_ids, motion, _alive(reference, world))
-        return self._pose.learn(tracked, world)
+        return self.pose.learn(tracked, world)
 
     def remember(self, tracked: Tracked, world: Map) -> None:
         """Store the result of a frame, after mapping, for the next one."""
-        self._pose.remember(tracked, world)
+        self.pose.remember(tracked, world)
         if tracked.T_world_cam is None:
             self._velocity.forget()
             self._last, self._T_reference_last = None, None
@@ -318,15 +321,15 @@ class Tracker:
     @property
     def rows(self) -> RowsFound | None:
         """What the recording says of the camera's readout; None where nothing is asked, or known yet."""
-        return self._pose.found
+        return self.pose.found
 
     def put_back(self) -> list[int]:
         """Return keyframes whose keypoints were put back to where they were seen since the last call."""
-        return self._pose.put_back()
+        return self.pose.put_back()
 
     def found_again(self, world: Map) -> dict[int, F64]:
         """Find earlier images again where there is reason to; return their `T_world_cam` (4, 4) by image index."""
-        return self._pose.found_again(world)
+        return self.pose.found_again(world)
 
     @property
     def _reference(self) -> int:
@@ -347,7 +350,7 @@ class Tracker:
 
     def _in_time(self, frame: Frame, guess: F64, world: Map) -> Frame:
         """Return a frame with its keypoints where, and at the depth that, they are expected to have at mid-frame."""
-        moved = self._pose.at_mid_frame(frame, self._pose.expected(guess, self._before(frame, world)))
+        moved = self.pose.at_mid_frame(frame, self.pose.expected(guess, self._before(frame, world)))
         return self._with_depth_in_time(moved, guess, world)
 
     def _with_depth_in_time(self, frame: Frame, T_cam_world: F64, world: Map) -> Frame:
@@ -411,14 +414,14 @@ class Tracker:
         if len(inliers) < self._inliers_needed():
             return _lost(frame, surroundings.reference, motion)
         tracked = Tracked(
-            self._pose.at_mid_frame(frame, refined.velocity),
+            self.pose.at_mid_frame(frame, refined.velocity),
             TrackingState.OK,
             se3.orthonormalize(se3.inverse(refined.T_cam_world)),
             refined.point_ids,
             motion,
             surroundings.reference,
         )
-        return self._pose.learn(tracked, world)
+        return self.pose.learn(tracked, world)
 
     def _inliers_needed(self) -> int:
         return self.config.min_inliers_recovered if self._is_recovering else self.config.min_inliers
@@ -434,7 +437,7 @@ class Tracker:
         """Optimise the pose over the matches and return it with its inliers; the guess may tell how fast it turns."""
         turn = turn_rad_s(guess, self._before(frame, world) if tells_turn else None)
         depth = self.config.depth.terms(turn, frame.camera)
-        fitted = self._pose.fit(frame, guess, matches, world, motion.p_static, depth)
+        fitted = self.pose.fit(frame, guess, matches, world.points.position_m, motion.p_static, depth)
         point_ids = np.full(len(frame), -1, dtype=np.int32)
         inlier = fitted.is_inlier
         point_ids[matches.keypoint[inlier]] = matches.point_id[inlier]

@@ -45,6 +45,7 @@ from stillroom.semantics.masks.refine import RefineConfig, refined
 from stillroom.semantics.masks.regions import RegionsConfig, as_semantics
 from stillroom.semantics.truth import TrueSemanticsConfig
 from stillroom.system import System, build
+from stillroom.tracking.last_look import LastLookConfig
 from stillroom.tracking.shutter import ROLLING
 from stillroom.tracking.tracker import TrackerConfig
 from stillroom.viz.cloud.render import CloudRendererConfig
@@ -148,8 +149,8 @@ def track() -> System:
 
 
 def roll() -> None:
-    """Track the scene as if its rows had been read one after the other, and depth before them; compare both."""
-    rolling = SlamConfig(tracking=TrackerConfig(shutter=ROLLING))
+    """Track the scene as if its rows had been read one after the other, and depth before them, and look again."""
+    rolling = SlamConfig(tracking=TrackerConfig(shutter=ROLLING), last_look=LastLookConfig(enabled=True))
     camera = replace(CAMERA, readout_s=READOUT_S, depth_offset_s=-READOUT_S)
     system = build(rolling, camera)
     for image in islice(images(), N_ROLLED):

@@ -124,7 +124,9 @@ def _compared(seen: PointsSeen, points_world_m: F64, camera: Camera) -> tuple[fl
     x = np.einsum("oij,oj->oi", T[:, :3, :3], points_m[seen.point]) + T[:, :3, 3]
     along = T[:, 2, :3]
     variance = np.einsum("oi,oij,oj->o", along, covariance[seen.point], along)
-    sigma = np.sqrt(np.maximum(variance, 0.0)) / np.maximum(x[:, 2], MIN_DEPTH_M)
+    # It grows with the square of depth. By the measured one, lest points count more that came out too near.
+    z = np.maximum(x[:, 2], MIN_DEPTH_M)
+    sigma = np.sqrt(np.maximum(variance, 0.0)) / z**2 * camera.bf / np.maximum(seen.planes[:, 0], 1e-6)
     n_seen = np.bincount(seen.point, minlength=len(points_m))[seen.point]
     good = (seen.planes[:, 3] > 0) & (n_seen >= LEAST_SEEN) & (x[:, 2] > MIN_DEPTH_M) & (sigma < MOST_SIGMA)
     n_points = len(np.unique(seen.point[good]))
@@ -158,7 +160,7 @@ def _only(seen: PointsSeen, chosen: Bool) -> PointsSeen:
 
 def _summed(index: I64, parts: F64, n: int) -> F64:
     """Return the sums (n, …) of parts (O, …) by their index (O,)."""
-    flat = parts.reshape(len(parts), -1)
-    sums = [np.bincount(index, flat[:, k], minlength=n) for k in range(flat.shape[1])]
-    total: F64 = np.stack(sums, axis=1).reshape(n, *parts.shape[1:])
-    return total
+    flat, total = parts.reshape(len(parts), -1), np.zeros((n, parts[0].size))
+    for k in range(flat.shape[1]):
+        total[:, k] = np.bincount(index, flat[:, k], minlength=n)
+    return total.reshape(n, *parts.shape[1:])

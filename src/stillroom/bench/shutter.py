@@ -8,6 +8,7 @@ from stillroom.config import SlamConfig
 from stillroom.config.kinds import MatchSieveConfig
 from stillroom.dynamics.cluster_sieve import ClusterSieveConfig
 from stillroom.evaluation.report import percent
+from stillroom.optimize.bundle import BundleConfig
 from stillroom.presets import stillroom as own
 from stillroom.tracking.shutter import GLOBAL, ROLLING, DepthNoiseConfig
 
@@ -47,14 +48,15 @@ def shutter_parts(config: SlamConfig) -> dict[str, SlamConfig]:
 def with_depth(config: SlamConfig, depth: DepthNoiseConfig) -> SlamConfig:
     """Return a config in which depth counts as it says, in poses and in all bundle adjustments."""
     mapping, loops = config.mapping, config.loops
-    same = {"right_sigma": depth.right_sigma, "depth_model": depth.model}
+
+    def same(bundle: BundleConfig) -> BundleConfig:
+        return replace(bundle, right_sigma=depth.right_sigma, depth_model=depth.model)
+
     return replace(
         config,
         tracking=replace(config.tracking, depth=depth),
-        mapping=replace(
-            mapping, bundle=replace(mapping.bundle, **same), looped_bundle=replace(mapping.looped_bundle, **same)
-        ),
-        loops=replace(loops, bundle=replace(loops.bundle, **same)),
+        mapping=replace(mapping, bundle=same(mapping.bundle), looped_bundle=same(mapping.looped_bundle)),
+        loops=replace(loops, bundle=same(loops.bundle)),
     )
 
 

@@ -124,9 +124,7 @@ def _compared(seen: PointsSeen, points_world_m: F64, camera: Camera) -> tuple[fl
     x = np.einsum("oij,oj->oi", T[:, :3, :3], points_m[seen.point]) + T[:, :3, 3]
     along = T[:, 2, :3]
     variance = np.einsum("oi,oij,oj->o", along, covariance[seen.point], along)
-    # It grows with the square of depth. By the measured one, lest points count more that came out too near.
-    z = np.maximum(x[:, 2], MIN_DEPTH_M)
-    sigma = np.sqrt(np.maximum(variance, 0.0)) / z**2 * camera.bf / np.maximum(seen.planes[:, 0], 1e-6)
+    sigma = np.sqrt(np.maximum(variance, 0.0)) / np.maximum(x[:, 2], MIN_DEPTH_M)
     n_seen = np.bincount(seen.point, minlength=len(points_m))[seen.point]
     good = (seen.planes[:, 3] > 0) & (n_seen >= LEAST_SEEN) & (x[:, 2] > MIN_DEPTH_M) & (sigma < MOST_SIGMA)
     n_points = len(np.unique(seen.point[good]))

@@ -9,6 +9,7 @@ from small_world import CAMERA, SmallMap, SmallWorld, pose
 
 from stillroom.data.motion import Motion
 from stillroom.data.result import FrameSummary, Tracked, TrackingState
+from stillroom.dynamics.chain import KeepAllMatches
 from stillroom.geometry import se3
 from stillroom.geometry.align import align
 from stillroom.geometry.camera import Camera
@@ -37,7 +38,7 @@ class Run:
     ) -> None:
         self.small = SmallMap.of(WORLD, [at(time_s) for time_s in (0.0, 0.4, 0.8)])
         given = parts(camera, self.small.map)
-        tracker = TrackerConfig(shutter=ROLLING).build(given, KeepAll())
+        tracker = TrackerConfig(shutter=ROLLING).build(given, KeepAllMatches())
         self.look = LastLookConfig(enabled=True, **config).build(given, tracker, TrajectoryPriorConfig(enabled=prior))
         assert isinstance(self.look, LastLook)
         self.camera, self.noise_px = camera, noise_px
@@ -184,7 +185,7 @@ def test_points_that_all_frames_place_are_better_than_those_of_a_few_keyframes()
 def test_without_it_nothing_is_kept_or_changed() -> None:
     run = Run(n=2)
     given = parts(CAMERA, run.small.map)
-    off = LastLookConfig().build(given, TrackerConfig().build(given, KeepAll()), TrajectoryPriorConfig())
+    off = LastLookConfig().build(given, TrackerConfig().build(given, KeepAllMatches()), TrajectoryPriorConfig())
     assert isinstance(off, NoLastLook)
     off.keep(run.tracked(0))
     off.repeat()

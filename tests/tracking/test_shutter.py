@@ -87,9 +87,7 @@ def test_a_frame_moved_by_the_right_velocity_has_nothing_left_to_find() -> None:
     np.testing.assert_allclose(
         moved.keypoints.right_px, CAMERA.right_coordinate(moved.keypoints.px[:, 0], frame.keypoints.depth_m)
     )
-    fitted = rolling().fit(
-        moved, se3.inverse(pose(0.04)), matches_of(small, seen), position_m, None, RightCoordinate()
-    )
+    fitted = rolling().fit(moved, se3.inverse(pose(0.04)), matches_of(small, seen), position_m, None, RightCoordinate())
     assert fitted.velocity is not None
     assert np.abs(fitted.velocity).max() < 0.05
 

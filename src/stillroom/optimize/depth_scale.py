@@ -158,7 +158,7 @@ def _only(seen: PointsSeen, chosen: Bool) -> PointsSeen:
 
 def _summed(index: I64, parts: F64, n: int) -> F64:
     """Return the sums (n, …) of parts (O, …) by their index (O,)."""
-    flat = parts.reshape(len(parts), -1)
-    sums = [np.bincount(index, flat[:, k], minlength=n) for k in range(flat.shape[1])]
-    total: F64 = np.stack(sums, axis=1).reshape(n, *parts.shape[1:])
-    return total
+    flat, total = parts.reshape(len(parts), -1), np.zeros((n, parts[0].size))
+    for k in range(flat.shape[1]):
+        total[:, k] = np.bincount(index, flat[:, k], minlength=n)
+    return total.reshape(n, *parts.shape[1:])

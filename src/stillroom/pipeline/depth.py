@@ -275,7 +275,9 @@ class _Said:
         parts = PointsSeen(
             np.repeat(np.arange(len(chosen)), [len(one) for _, one, _ in chosen]),
             point.astype(np.int64),
-            *(np.concatenate([seen[k] for seen, _, _ in chosen]) for k in (3, 4, 5)),
+            np.concatenate([seen.px for seen, _, _ in chosen]),
+            np.concatenate([seen.inverse_variances for seen, _, _ in chosen]),
+            np.concatenate([seen.planes for seen, _, _ in chosen]),
             se3.inverse(true.T_world_cam[frames]),
             velocity[frames],
             np.array([seen.after_s for seen, _, _ in chosen]),

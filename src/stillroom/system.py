@@ -9,6 +9,7 @@ import numpy as np
 
 from stillroom.bounds import check, in_pixels_of
 from stillroom.config import SlamConfig
+from stillroom.config.single_camera import for_single_camera
 from stillroom.data.dense_cloud import DenseCloud
 from stillroom.data.frame import Frame
 from stillroom.data.image import Image
@@ -21,6 +22,7 @@ from stillroom.data.trajectory import Trajectory
 from stillroom.dynamics.asking import Asking
 from stillroom.evaluation.timing import StageClock, timed_part
 from stillroom.features.keypoint_depth import KeypointDepth, NoDepth
+from stillroom.features.orb import UntilMap
 from stillroom.features.places.place_index import PlaceMemory
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64
@@ -315,8 +317,10 @@ def build(
     config = in_pixels_of(config, camera.pixel_scale)
     clock, world = clock or StageClock(), world or Map(config.features.scales(camera), sensor)
     parts = Parts(camera, world, config.seed, clock, schedule or InOrder(), sensor)
+    config = config if sensor.is_metric else for_single_camera(config)
     sieve = timed_part(Asking(config.dynamics.build(parts), world), clock, judge="dynamics", remember="memory")
-    tracker = config.tracking.build(parts, sieve, config.low_cost.build(parts, sieve))
+    start = None if sensor.is_metric else config.monocular.build(parts, sieve)
+    tracker = config.tracking.build(parts, sieve, config.low_cost.build(parts, sieve), start)
     policy, keypoints, dense = config.keyframes.build(parts), config.keypoints.build(parts), config.dense.build(parts)
     segmenter, places = segmenter or config.semantics.build(parts), config.places.build(parts)
     places.remember_all()
@@ -326,7 +330,7 @@ def build(
         segmenter=clock.timed("semantics", segmenter),
         see=clock.timed("semantics", segmenter.see) if isinstance(segmenter, KeyframeSegmenter) else None,
         clusterer=clock.timed("clusters", config.clusters.build(parts)),
-        features=timed_part(config.features.build(parts, _keypoint_depth(config, parts)), clock, extract="features"),
+        features=timed_part(_features(config, parts), clock, extract="features"),
         keypoint_sieve=keypoints,
         sieve=sieve,
         tracker=timed_part(tracker, clock, track="tracking"),
@@ -344,6 +348,15 @@ def build(
         prior=config.trajectory,
         first_keyframe=len(world.keyframes),
     )
+
+
+def _features(config: SlamConfig, parts: Parts) -> FeatureExtractor:
+    """Return what finds keypoints; a single camera begins a map with more of them."""
+    features, depth = config.features, _keypoint_depth(config, parts)
+    if parts.sensor.is_metric:
+        return features.build(parts, depth)
+    many = features.many(config.monocular.features_before_map)
+    return UntilMap(many.build(parts, depth), features.build(parts, depth), parts.world)
 
 
 def _keypoint_depth(config: SlamConfig, parts: Parts) -> KeypointDepth:

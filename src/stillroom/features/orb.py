@@ -1,6 +1,6 @@
 """ORB features on a scale pyramid, spread evenly, with depth (ORB-SLAM2; Rublee et al., ICCV 2011)."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import cv2
@@ -10,6 +10,7 @@ from stillroom.bounds import bounded
 from stillroom.compiled import njit
 from stillroom.data.frame import Frame, Keypoints, ScaleLevels
 from stillroom.data.image import Image
+from stillroom.data.map import Map
 from stillroom.features.corners import Corners, detect, spread
 from stillroom.features.keypoint_depth import KeypointDepth, RegisteredDepth
 from stillroom.geometry.arrays import F32, F64, I32, I64, U8, U16, Bool
@@ -215,9 +216,25 @@ class OrbConfig:
         """Return what reads the depth of keypoints in a camera's depth images."""
         return RegisteredDepth(camera, self.min_depth_m, self.max_depth_m)
 
+    def many(self, factor: int) -> "OrbConfig":
+        """Return the same for so many times more keypoints."""
+        return replace(self, n_features=factor * self.n_features)
+
     def build(self, parts: Parts, depth: KeypointDepth | None = None) -> "OrbExtractor":
         """Return the extractor for a camera; where `depth` is not given, depth images are read."""
         return OrbExtractor(self, parts.camera, parts.seed, depth)
+
+
+class UntilMap:
+    """Finds keypoints by one extractor until there is a map, then by another: a single camera begins with more."""
+
+    def __init__(self, before: "OrbExtractor", after: "OrbExtractor", world: Map) -> None:
+        """Store both, and the map."""
+        self._before, self._after, self._world = before, after, world
+
+    def extract(self, image: Image) -> Frame:
+        """Return the frame of the image."""
+        return (self._before if self._world.is_empty else self._after).extract(image)
 
 
 class OrbExtractor:

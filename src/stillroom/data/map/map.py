@@ -257,16 +257,22 @@ class Map:
         n = keep_others(point_ids, excluded, *self._marks.fresh(len(self.points)), kept)
         return kept[:n]
 
+    @property
+    def is_empty(self) -> bool:
+        """Whether there is no keyframe: none was made yet, or what was begun was dropped."""
+        return not self.keyframes.is_alive.any()
+
     def alive_keyframes(self) -> I64:
         """Return the ids of the keyframes that were not culled, oldest first."""
         return np.flatnonzero(self.keyframes.is_alive)
 
     def remove_keyframe(self, keyframe: int) -> None:
-        """Cull a keyframe: its observations are removed; frames that refer to it keep a pose by its parent."""
+        """Cull a keyframe: its observations are removed; frames that refer to it keep a pose by its parent, if any."""
         parent = int(self.keyframes.parent[keyframe])
-        T_world_parent = self.keyframe_pose(parent)
-        T_world_cam = self.keyframes.T_world_cam[keyframe]
-        self.keyframes.T_parent_cam[keyframe] = se3.inverse(T_world_parent) @ T_world_cam
+        if parent >= 0:
+            T_world_parent = self.keyframe_pose(parent)
+            T_world_cam = self.keyframes.T_world_cam[keyframe]
+            self.keyframes.T_parent_cam[keyframe] = se3.inverse(T_world_parent) @ T_world_cam
         self.keyframes.is_alive[keyframe] = False
         rows = self.rows(keyframe)
         self.remove_observations(np.arange(rows.start, rows.stop))
@@ -276,7 +282,8 @@ class Map:
         """Return `T_world_cam` (4, 4) of a keyframe as known now, alive or culled."""
         T_kept_cam = np.eye(4)
         with self.lock:
-            while not self.keyframes.is_alive[keyframe]:
+            # The first of a sub-map that was dropped has no parent.
+            while not self.keyframes.is_alive[keyframe] and self.keyframes.parent[keyframe] >= 0:
                 T_kept_cam = self.keyframes.T_parent_cam[keyframe] @ T_kept_cam
                 keyframe = int(self.keyframes.parent[keyframe])
             pose: F64 = self.keyframes.T_world_cam[keyframe] @ T_kept_cam

@@ -34,7 +34,9 @@ class Model:
     is_inlier: Bool = field(repr=False)
 
 
-def fit_both(first_px: Floats, second_px: Floats, sigma_px: float, n_samples: int, seed: int) -> tuple[Model, Model] | None:
+def fit_both(
+    first_px: Floats, second_px: Floats, sigma_px: float, n_samples: int, seed: int
+) -> tuple[Model, Model] | None:
     """Fit a homography and a fundamental matrix to the same samples of pairs.
 
     Differs from ORB-SLAM2: the best of each is fitted again to all pairs that agree with it, as long as that raises
@@ -99,7 +101,9 @@ def homographies(a: F64, b: F64) -> F64:
     one, zero = np.ones(a.shape[:2]), np.zeros((*a.shape[:2], 3))
     p = np.concatenate((a, one[..., None]), axis=2)
     u, v = b[..., :1], b[..., 1:]
-    rows = np.concatenate((np.concatenate((p, zero, -u * p), axis=2), np.concatenate((zero, p, -v * p), axis=2)), axis=1)
+    rows = np.concatenate(
+        (np.concatenate((p, zero, -u * p), axis=2), np.concatenate((zero, p, -v * p), axis=2)), axis=1
+    )
     return _null_vectors(rows).reshape(-1, 3, 3)
 
 

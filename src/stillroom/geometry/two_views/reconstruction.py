@@ -85,9 +85,7 @@ class TwoViews:
     by_homography: bool
 
 
-def reconstruct(
-    first_px: Floats, second_px: Floats, K: Floats, limits: TwoViewLimits, seed: int
-) -> TwoViews | Refusal:
+def reconstruct(first_px: Floats, second_px: Floats, K: Floats, limits: TwoViewLimits, seed: int) -> TwoViews | Refusal:
     """Return motion and points of two views, or why there are none.
 
     Args:
@@ -103,7 +101,9 @@ def reconstruct(
         return Refusal.NO_MOTION
     H, F = fitted
     by_homography = H.score > limits.homography_share * (H.score + F.score)
-    model, candidates = (H, motions.of_homography(H.matrix, K)) if by_homography else (F, motions.of_fundamental(F.matrix, K))
+    model, candidates = (
+        (H, motions.of_homography(H.matrix, K)) if by_homography else (F, motions.of_fundamental(F.matrix, K))
+    )
     if len(candidates) == 0:
         return Refusal.LITTLE_PARALLAX
     pairs = _Pairs.of(first_px, second_px, K, limits)

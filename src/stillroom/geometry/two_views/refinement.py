@@ -77,9 +77,10 @@ def _forms(E: F64, x: float, y: float, u: float, v: float) -> tuple[float, float
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def sampson2(E: F64, x: float, y: float, u: float, v: float) -> float:
-    """Return the squared distance of a pair of rays (x, y, 1), (u, v, 1) from the nearest that meets, to first order."""
+    """Return how far rays (x, y, 1), (u, v, 1) are from the nearest pair that meets, squared, to first order."""
     p, q, r, s, product = _forms(E, x, y, u, v)
-    return product * product / (p * p + q * q + r * r + s * s)
+    error2: float = product * product / (p * p + q * q + r * r + s * s)
+    return error2
 
 
 @njit(nogil=True, cache=True)

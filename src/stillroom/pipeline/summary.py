@@ -16,6 +16,21 @@ def coverage(n_tracked: int, n_recorded: int | None, why: str) -> str:
     return f"{n_tracked} of {n_recorded} frames tracked ({share}); {why}"
 
 
+def before_map(figures: Mapping[str, Any]) -> list[str]:
+    """Return which images have no pose because there was no map yet, and what was dropped; nothing where all have."""
+    said = []
+    n_before, n_dropped = figures.get("n_before_map", 0), figures.get("n_maps_dropped", 0)
+    if n_before:
+        refused = figures.get("two_views_refused", {})
+        why = f" (two images were refused: {', '.join(f'{why}, {n}' for why, n in refused.items())})" if refused else ""
+        images = "1 image has" if n_before == 1 else f"{n_before} images have"
+        said.append(f"{images} no pose: a map could not be begun yet{why}")
+    if n_dropped:
+        maps = "1 map was" if n_dropped == 1 else f"{n_dropped} maps were"
+        said.append(f"{maps} dropped: tracking was lost soon after it began")
+    return said
+
+
 def sentences(figures: Mapping[str, Any], n_given: int | None, has_segmenter: bool = True) -> list[str]:
     """Return what a run came to, beside its errors.
 
@@ -30,6 +45,7 @@ def sentences(figures: Mapping[str, Any], n_given: int | None, has_segmenter: bo
     n_bad = figures["n_unreadable"]
     if n_bad:
         said.append(f"not tracked, as they could not be read: {'1 image' if n_bad == 1 else f'{n_bad} images'}")
+    said += before_map(figures)
     text = f"map: {figures['n_keyframes']} keyframes, {figures['n_points']} points"
     cost = figures["frame_ms"]
     if cost is not None:

@@ -28,6 +28,7 @@ from stillroom.geometry.two_views.reconstruction import Refusal, TwoViewLimits, 
 from stillroom.optimize import observations
 from stillroom.optimize.bundle import BundleAdjuster, BundleConfig, BundleProblem
 from stillroom.protocols import MatchSieve, Parts, Pending
+from stillroom.tracking.start import Beginnings
 
 log = logging.getLogger(__name__)
 _FINEST = 0
@@ -43,7 +44,9 @@ class MonocularConfig:
         window_px: Around where a keypoint was last matched, how far it is searched.
         ratio: Ratio test of those matches.
         n_samples: Samples of the RANSAC, for both models.
-        min_parallax_deg: Parallax of the 51st best point.
+        min_parallax_deg: Parallax of the 51st best point, at least …
+        shutter_s: … and beyond it the angle by which the camera turned in so long, on average between the two images:
+            a camera that reads its rows one after the other fakes as much when it turns unevenly.
         min_points: Fewest points of a first map.
         start_again: A map that is lost with no more keyframes than this is dropped, and another begun.
         share: A keyframe is due when fewer than this share of the reference keyframe's points is tracked.
@@ -60,6 +63,7 @@ class MonocularConfig:
     ratio: float = bounded(0.9, above=0, most=1)
     n_samples: int = bounded(200, least=1)
     min_parallax_deg: float = bounded(1.0, least=0)
+    shutter_s: float = bounded(0.02, least=0)
     min_points: int = bounded(80, least=8)
     start_again: int = bounded(5, least=0)
     share: float = bounded(0.9, least=0, most=1)
@@ -84,18 +88,13 @@ class _Held:
 
 
 class TwoViewStart:
-    """Begins a map with two images.
-
-    Attributes:
-        refusals: How often two images were refused, by reason.
-        n_started_again: How many maps were dropped because tracking was lost soon after they began.
-    """
+    """Begins a map with two images."""
 
     def __init__(self, config: MonocularConfig, camera: Camera, sieve: MatchSieve, seed: int) -> None:
         """Start without an image."""
         self.config, self.camera, self.sieve, self.seed = config, camera, sieve, seed
-        self.refusals: Counter[Refusal] = Counter()
-        self.n_started_again = 0
+        self._refusals: Counter[Refusal] = Counter()
+        self._n_dropped = 0
         self._held: _Held | None = None
         self._limits = TwoViewLimits(
             sigma_px=camera.pixel_scale,
@@ -103,6 +102,11 @@ class TwoViewStart:
             min_parallax_rad=math.radians(config.min_parallax_deg),
         )
         self._adjust: BundleAdjuster = BundleConfig(iterations_first=10, iterations_second=10).build()
+
+    @property
+    def beginnings(self) -> Beginnings:
+        """How often two images were refused, and maps dropped."""
+        return Beginnings({reason.value: n for reason, n in sorted(self._refusals.items())}, self._n_dropped)
 
     def start(self, frame: Frame, semantics: Pending[Semantics], world: Map) -> Tracked:
         """Return the frame as the second of a map where it makes one with the image that is held; else without a pose.
@@ -124,8 +128,10 @@ class TwoViewStart:
             return waiting
         held = self._held.tracked
         found = self._reconstructed(held.frame, first, frame, second)
+        if isinstance(found, TwoViews) and found.parallax_rad < self._needed_rad(found, held.frame, frame):
+            found = Refusal.LITTLE_PARALLAX
         if isinstance(found, Refusal):
-            self.refusals[found] += 1
+            self._refusals[found] += 1
             return waiting
         self._held = None
         place = np.flatnonzero(found.has_point)
@@ -151,7 +157,7 @@ class TwoViewStart:
             return False
         submaps.discard(submap, world)
         self._held = None
-        self.n_started_again += 1
+        self._n_dropped += 1
         log.warning("tracking was lost with %d keyframes: this map is dropped, and another is begun", n_alive)
         return True
 
@@ -192,6 +198,11 @@ class TwoViewStart:
         T_second_first = found.T_second_first.copy()
         T_second_first[:3, 3] /= unit
         return replace(found, T_second_first=T_second_first, points_first=found.points_first / unit)
+
+    def _needed_rad(self, found: TwoViews, first: Frame, second: Frame) -> float:
+        """Return the parallax that the points of two frames must have [rad]."""
+        turn_rad_s = float(se3.angle_rad(found.T_second_first)) / (second.timestamp_s - first.timestamp_s)
+        return self._limits.min_parallax_rad + self.config.shutter_s * turn_rad_s
 
     def _adjusted(self, found: TwoViews, first_px: F32, second_px: F32) -> TwoViews:
         """Return two views after bundle adjustment; points that do not fit are left out."""

@@ -1,6 +1,7 @@
 """How a map begins: with one frame whose depth is measured, or, in `monocular`, with two."""
 
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -15,8 +16,25 @@ from stillroom.data.semantics import Semantics
 from stillroom.protocols import MatchSieve, Pending
 
 
+@dataclass(frozen=True)
+class Beginnings:
+    """How often a map was not begun, and why.
+
+    Attributes:
+        refusals: How often two images did not make one, by reason.
+        n_dropped: How many maps were dropped because tracking was lost soon after they began.
+    """
+
+    refusals: Mapping[str, int] = field(default_factory=dict)
+    n_dropped: int = 0
+
+
 class Start(Protocol):
     """Begins maps and sub-maps."""
+
+    @property
+    def beginnings(self) -> Beginnings:
+        """How that went so far."""
 
     def start(self, frame: Frame, semantics: Pending[Semantics], world: Map) -> Tracked:
         """Return the frame as one that begins a map, or a sub-map where there is one; without a pose if it does not."""
@@ -34,6 +52,11 @@ class DepthStart:
     def __init__(self, min_keypoints: int, sieve: MatchSieve) -> None:
         """Store the sieve that is asked what moves."""
         self.min_keypoints, self.sieve = min_keypoints, sieve
+
+    @property
+    def beginnings(self) -> Beginnings:
+        """Nothing: a single frame is not refused, but waited for."""
+        return Beginnings()
 
     def start(self, frame: Frame, semantics: Pending[Semantics], world: Map) -> Tracked:
         """Return the frame as one that begins a map, or a sub-map where there is one, if it has enough keypoints."""

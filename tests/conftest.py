@@ -15,6 +15,7 @@ cv2.setNumThreads(1)
 ROOT = Path(__file__).parents[1]
 BONN = "rgbd_bonn_crowd_first560"
 FREIBURG1 = "rgbd_dataset_freiburg1_rpy_first150"
+FREIBURG1_XYZ = "rgbd_dataset_freiburg1_xyz_first60"
 
 
 for _variable, _kind in (("STILLROOM_DATA", "data"), ("STILLROOM_MODELS", "models")):
@@ -43,6 +44,12 @@ def bonn() -> Path:
 def freiburg1() -> Path:
     """The fr1 stretch: 150 real frames, static, hand-held rotations."""
     return _required("STILLROOM_DATA", FREIBURG1)
+
+
+@pytest.fixture(scope="session")
+def freiburg1_xyz() -> Path:
+    """The other fr1 stretch: 60 real frames, static, hand-held translations."""
+    return _required("STILLROOM_DATA", FREIBURG1_XYZ)
 
 
 @pytest.fixture(scope="session")
@@ -87,7 +94,7 @@ def kitti() -> Path:
     return _required("STILLROOM_DATA", "kitti_stereo_51")
 
 
-REAL_FIXTURES = {"bonn", "freiburg1", "yolo_weights", "deeplab", "mobilenet_backbone", "person_masks"}
+REAL_FIXTURES = {"bonn", "freiburg1", "freiburg1_xyz", "yolo_weights", "deeplab", "mobilenet_backbone", "person_masks"}
 REAL_FIXTURES |= {"euroc_v101", "euroc_mh05", "kitti"}
 
 

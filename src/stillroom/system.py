@@ -49,6 +49,7 @@ from stillroom.storage.keeper import NoKeeper
 from stillroom.tracking.flow_tracking import FlowTracking, OrbAlways
 from stillroom.tracking.keyframe_policy import KeyframePolicy
 from stillroom.tracking.relocalizer import Relocalizer
+from stillroom.tracking.start import DepthStart, Start
 from stillroom.tracking.tracker import Tracker
 from stillroom.viz.no_observer import NoObserver
 
@@ -314,13 +315,11 @@ def build(
         ConfigError, WeightsError, VocabularyError: A value is impossible; what it names is absent, or cannot be read.
     """
     check(config)
-    config = in_pixels_of(config, camera.pixel_scale)
+    config = in_pixels_of(config if sensor.is_metric else for_single_camera(config), camera.pixel_scale)
     clock, world = clock or StageClock(), world or Map(config.features.scales(camera), sensor)
     parts = Parts(camera, world, config.seed, clock, schedule or InOrder(), sensor)
-    config = config if sensor.is_metric else for_single_camera(config)
     sieve = timed_part(Asking(config.dynamics.build(parts), world), clock, judge="dynamics", remember="memory")
-    start = None if sensor.is_metric else config.monocular.build(parts, sieve)
-    tracker = config.tracking.build(parts, sieve, config.low_cost.build(parts, sieve), start)
+    tracker = config.tracking.build(parts, sieve, config.low_cost.build(parts, sieve), _start(config, parts, sieve))
     policy, keypoints, dense = config.keyframes.build(parts), config.keypoints.build(parts), config.dense.build(parts)
     segmenter, places = segmenter or config.semantics.build(parts), config.places.build(parts)
     places.remember_all()
@@ -348,6 +347,13 @@ def build(
         prior=config.trajectory,
         first_keyframe=len(world.keyframes),
     )
+
+
+def _start(config: SlamConfig, parts: Parts, sieve: Asking) -> Start:
+    """Return how a map begins, with the sensor that there is."""
+    if parts.sensor.is_metric:
+        return DepthStart(config.tracking.min_initial_keypoints, sieve)
+    return config.monocular.build(parts, sieve)
 
 
 def _features(config: SlamConfig, parts: Parts) -> FeatureExtractor:

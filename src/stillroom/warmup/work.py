@@ -11,11 +11,12 @@ from stillroom.config import SlamConfig
 from stillroom.config.kinds import DYNAMICS
 from stillroom.data.dense_cloud import DenseCloud
 from stillroom.data.frame import Frame
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import MonoImage, RgbdImage
 from stillroom.data.map import Map
 from stillroom.data.motion import Motion
 from stillroom.data.question import Question
 from stillroom.data.semantics import Box, Semantics
+from stillroom.data.sensor import Sensor
 from stillroom.datasets.open import open_dataset
 from stillroom.dense.dense_mapper import DenseMapperConfig
 from stillroom.dense.export.mesh import MeshConfig
@@ -120,6 +121,7 @@ def do_everything() -> None:
     """Track the synthetic scene with all parts, and run all operations on its maps."""
     system = track()
     roll()
+    begin_without_depth()
     segment()
     recognise(system)
     reduce_sparsely()
@@ -152,6 +154,14 @@ def roll() -> None:
     system = build(rolling, replace(CAMERA, readout_s=READOUT_S))
     for image in islice(images(), N_ROLLED):
         system.process(image)
+    system.close()
+
+
+def begin_without_depth() -> None:
+    """Track the scene with a single camera."""
+    system = build(SlamConfig(), CAMERA, sensor=Sensor.MONOCULAR)
+    for image in images():
+        system.process(MonoImage(image.timestamp_s, image.rgb, image.index))
     system.close()
 
 

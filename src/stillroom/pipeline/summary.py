@@ -45,13 +45,13 @@ def sentences(figures: Mapping[str, Any], n_given: int | None, has_segmenter: bo
     n_bad = figures["n_unreadable"]
     if n_bad:
         said.append(f"not tracked, as they could not be read: {'1 image' if n_bad == 1 else f'{n_bad} images'}")
-    said += before_map(figures)
     text = f"map: {figures['n_keyframes']} keyframes, {figures['n_points']} points"
     cost = figures["frame_ms"]
     if cost is not None:
         rate = 1000.0 / cost["wall_mean_ms"]
         text += f"; a frame took {cost['wall_median_ms']:.1f} ms (median), {rate:.1f} frames/s on average"
     said.append(text)
+    said += before_map(figures)
     if figures["live"] is not None:
         said += live_sentences(figures["live"], has_segmenter)
     return said

@@ -49,17 +49,17 @@ def main(world: Map, since: int = 0) -> int:
     return int(np.argmax(np.bincount(world.keyframes.submap[alive])))
 
 
-def of_points(point_ids: Ints, world: Map) -> Ints:
-    """Return the sub-map (P,) of each point (P,)."""
-    submaps: Ints = world.keyframes.submap[world.points.first_keyframe[point_ids]]
-    return submaps
-
-
 def discard(submap: int, world: Map) -> None:
     """Remove a sub-map with its keyframes and points; no other has its id."""
     table = world.keyframes
     for keyframe in np.flatnonzero(table.is_alive & (table.submap == submap))[::-1]:
         world.remove_keyframe(int(keyframe))
+
+
+def of_points(point_ids: Ints, world: Map) -> Ints:
+    """Return the sub-map (P,) of each point (P,)."""
+    submaps: Ints = world.keyframes.submap[world.points.first_keyframe[point_ids]]
+    return submaps
 
 
 def join(moved: int, kept: int, T_kept_moved: F64, parent: int, world: Map) -> None:

@@ -15,6 +15,7 @@ cv2.setNumThreads(1)
 ROOT = Path(__file__).parents[1]
 BONN = "rgbd_bonn_crowd_first560"
 FREIBURG1 = "rgbd_dataset_freiburg1_rpy_first150"
+FREIBURG1_XYZ = "rgbd_dataset_freiburg1_xyz_first60"
 
 
 for _variable, _kind in (("STILLROOM_DATA", "data"), ("STILLROOM_MODELS", "models")):
@@ -46,6 +47,12 @@ def freiburg1() -> Path:
 
 
 @pytest.fixture(scope="session")
+def freiburg1_xyz() -> Path:
+    """The other fr1 stretch: 60 real frames, static, hand-held translations."""
+    return _required("STILLROOM_DATA", FREIBURG1_XYZ)
+
+
+@pytest.fixture(scope="session")
 def yolo_weights() -> Path:
     """The folder with YOLO-Fastest's cfg, weights and names."""
     return _required("STILLROOM_MODELS", "yolo_fastest")
@@ -69,7 +76,26 @@ def person_masks() -> Path:
     return _required("STILLROOM_DATA", "person_masks")
 
 
-REAL_FIXTURES = {"bonn", "freiburg1", "yolo_weights", "deeplab", "mobilenet_backbone", "person_masks"}
+@pytest.fixture(scope="session")
+def euroc_v101() -> Path:
+    """The EuRoC stretch of pairs: 95 of V1_01, the vehicle at rest."""
+    return _required("STILLROOM_DATA", "euroc_v101_stereo_first95")
+
+
+@pytest.fixture(scope="session")
+def euroc_mh05() -> Path:
+    """The EuRoC stretch of one camera: 200 images of MH_05."""
+    return _required("STILLROOM_DATA", "euroc_mh05_mono_first200")
+
+
+@pytest.fixture(scope="session")
+def kitti() -> Path:
+    """The KITTI stretch: 51 pairs, 60 m."""
+    return _required("STILLROOM_DATA", "kitti_stereo_51")
+
+
+REAL_FIXTURES = {"bonn", "freiburg1", "freiburg1_xyz", "yolo_weights", "deeplab", "mobilenet_backbone", "person_masks"}
+REAL_FIXTURES |= {"euroc_v101", "euroc_mh05", "kitti"}
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

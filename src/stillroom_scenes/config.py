@@ -6,12 +6,15 @@ from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
+from stillroom.data.sensor import Sensor
 from stillroom.errors import ConfigError, DatasetError
 from stillroom.geometry.camera import LONGEST_READOUT_S
 from stillroom_scenes import PREFIX
 from stillroom_scenes.camera_path import PATHS
+from stillroom_scenes.eyes import parallel_eyes, turned_eyes
+from stillroom_scenes.pair_room import PairRoom
 from stillroom_scenes.render import World
-from stillroom_scenes.room import DepthFault, SyntheticRoom
+from stillroom_scenes.room import CAMERA, DepthFault, SyntheticRoom
 from stillroom_scenes.scene.layout import ROOMS
 from stillroom_scenes.scene.people.choreography import FIGURES
 from stillroom_scenes.worlds.corridor import corridor
@@ -22,6 +25,9 @@ KEYS = {"frames": "n_frames"}  # short names in a spec; the others are the field
 WAYS = {"corridor": "round", "building": "tour"}  # the only path there
 WALKERS = ("none", "walking")  # the only figures there
 LATEST_MS = 500.0
+NO_PAIR = "none"
+EYES = {"rectified": parallel_eyes, "turned": turned_eyes}
+"""The pairs of cameras."""
 ONLY_PEOPLE = ("walking", "standing")
 """Figures without which the room is the same; what is carried or pushed must be somewhere."""
 
@@ -48,6 +54,8 @@ class SyntheticConfig:
             taken at once, in the middle of it.
         depth_scale: What the sensor says a metre is: with 1.03 all depth is 3 % too far, and the camera does not know.
         depth_late_ms: How late depth is stamped [ms]: each image has the depth of so much earlier.
+        stereo: A pair of cameras in place of the RGB-D one: rectified, or turned (distorted, the right one by 1°;
+            their images are rectified as they are read). none: no pair.
         cache: Whether frames are kept in the user's cache folder.
     """
 
@@ -64,6 +72,7 @@ class SyntheticConfig:
     readout_ms: float = 0.0
     depth_scale: float = 1.0
     depth_late_ms: float = 0.0
+    stereo: str = "none"
     cache: bool = True
 
     def build(self) -> SyntheticRoom:
@@ -90,6 +99,11 @@ class SyntheticConfig:
             raise ConfigError(
                 f"synthetic: depth_late_ms is {self.depth_late_ms}; it must be -{LATEST_MS:g} to {LATEST_MS:g}"
             )
+        if (self.readout_ms, self.depth_scale, self.depth_late_ms) != (0.0, 1.0, 0.0) and self.stereo in EYES:
+            raise ConfigError(
+                "synthetic: readout_ms, depth_scale and depth_late_ms are for the RGB-D camera; leave them out of a "
+                "stereo sequence"
+            )
         if self.seed < 0:
             raise ConfigError(f"synthetic: seed is {self.seed}; it must be 0 or more")
         if not 1 <= self.rooms <= MOST_ROOMS:
@@ -99,21 +113,22 @@ class SyntheticConfig:
         name = self.name or self._own_name()
         # The name and the cache do not change what a frame looks like.
         looks = repr(replace(self, name="", cache=True)) if self.cache else None
-        depth = DepthFault(self.depth_scale, 1e-3 * self.depth_late_ms)
-        readout_s = 1e-3 * self.readout_ms
-        room = SyntheticRoom(
-            name, self._world(), self.n_frames, self.fps, self.seed, self.noise, looks, readout_s, depth
-        )
+        common = self.n_frames, self.fps, self.seed, self.noise, looks
+        if self.stereo in EYES:
+            room: SyntheticRoom = PairRoom(name, self._world(), EYES[self.stereo](CAMERA), *common)
+        else:
+            depth = DepthFault(self.depth_scale, 1e-3 * self.depth_late_ms)
+            room = SyntheticRoom(name, self._world(), *common, 1e-3 * self.readout_ms, depth)
         if self.figures in ONLY_PEOPLE:
             room.empty = replace(self, name="", figures="none").build
         return room
 
     def _choices(self) -> tuple[tuple[str, Iterable[str]], ...]:
         """Return what each key may be."""
-        rooms = ("room", (*ROOMS, *WAYS))
+        rooms, stereo = ("room", (*ROOMS, *WAYS)), ("stereo", (NO_PAIR, *EYES))
         if self.room in WAYS:
-            return rooms, ("path", (WAYS[self.room],)), ("figures", WALKERS)
-        return rooms, ("path", PATHS), ("figures", FIGURES)
+            return rooms, stereo, ("path", (WAYS[self.room],)), ("figures", WALKERS)
+        return rooms, stereo, ("path", PATHS), ("figures", FIGURES)
 
     def _world(self) -> World:
         if self.room == "corridor":
@@ -128,10 +143,13 @@ class SyntheticConfig:
         rolling = f"_readout{self.readout_ms:g}ms" if self.readout_ms else ""
         rolling += f"_depth{self.depth_scale:g}" if self.depth_scale != 1.0 else ""
         rolling += f"_late{self.depth_late_ms:g}ms" if self.depth_late_ms else ""
+        pair = "" if self.stereo == NO_PAIR else "_stereo" if self.stereo == "rectified" else f"_stereo_{self.stereo}"
         place = self.room
         if self.room == "building":
             place = f"building_{self.rooms}_{'alike' if self.alike else 'different'}"
-        return f"synthetic_{self.figures}_{self.path}_{place}_{self.n_frames}{rate}_seed{self.seed}{exact}{rolling}"
+        return (
+            f"synthetic_{self.figures}_{self.path}_{place}_{self.n_frames}{rate}_seed{self.seed}{exact}{rolling}{pair}"
+        )
 
 
 PRESETS = {
@@ -147,17 +165,21 @@ PRESETS = {
 }
 
 
-def open_synthetic(spec: str) -> SyntheticRoom:
+def open_synthetic(spec: str, sensor: Sensor | None = None) -> SyntheticRoom:
     """Open a rendered sequence from one line: `synthetic:walking,frames=300,seed=3,path=loop`.
 
     Args:
         spec: `synthetic:` and a preset, `key=value` pairs, or both, with commas between.
+        sensor: The sensor asked for: a stereo one is a rectified pair, where the line names no pair.
 
     Raises:
         DatasetError: There is no such preset.
         ConfigError: A key or value is wrong; the message names the nearest.
     """
-    return parse_spec(spec).build()
+    config = parse_spec(spec)
+    if sensor is Sensor.STEREO and config.stereo == NO_PAIR:
+        config = replace(config, stereo="rectified")
+    return config.build()
 
 
 def parse_spec(spec: str) -> SyntheticConfig:

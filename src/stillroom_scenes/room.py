@@ -10,7 +10,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image, RgbdImage
 from stillroom.data.semantics import Box, Instance, Semantics
 from stillroom.data.trajectory import Trajectory
 from stillroom.datasets.recording import Recording
@@ -84,6 +84,7 @@ class SyntheticRoom(Recording):
         cache_spec: str | None,
         readout_s: float = 0.0,
         depth: DepthFault = SOUND,
+        camera: Camera = CAMERA,
     ) -> None:
         """Take pictures of a world.
 
@@ -97,9 +98,10 @@ class SyntheticRoom(Recording):
             cache_spec: All that decides what frames look like, to find those kept on disk; None to keep none.
             readout_s: Of the camera's rolling shutter [s]; see `Camera.readout_s`.
             depth: What is wrong with depth.
+            camera: Its calibration otherwise.
         """
         self.name = name
-        self.camera = replace(CAMERA, readout_s=readout_s)
+        self.camera = replace(camera, readout_s=readout_s)
         self.camera_source = "the renderer's own pinhole camera: fx = fy = 525, no distortion, exact"
         self.timestamps_s = np.arange(n_frames) / fps
         self.scene = world.scene
@@ -115,7 +117,7 @@ class SyntheticRoom(Recording):
         """The exact pose of each frame."""
         return Trajectory(self.timestamps_s, self._way.poses(self.timestamps_s))
 
-    def load(self, index: int) -> RgbdImage:
+    def load(self, index: int) -> Image:
         """Return frame `index`, from the cache or rendered.
 
         Raises:
@@ -127,10 +129,13 @@ class SyntheticRoom(Recording):
             stored = self._taken(index)
             if self._cache:
                 self._cache.keep(index, stored)
-        factor = np.float32(self.camera.depth_factor)
-        depth_m = np.divide(stored.depth_units, factor, dtype=np.float32)
         time_s = float(self.timestamps_s[index])
-        return RgbdImage(time_s, stored.rgb, depth_m, index, truth=self._semantics(stored.instance, time_s))
+        return self._image(stored, index, time_s, self._semantics(stored.instance, time_s))
+
+    def _image(self, stored: StoredFrame, index: int, time_s: float, truth: Semantics) -> Image:
+        """Return a stored frame as what the sensor delivers."""
+        depth_m = np.divide(stored.measured, np.float32(self.camera.depth_factor), dtype=np.float32)
+        return RgbdImage(time_s, stored.rgb, depth_m, index, truth=truth)
 
     def truth(self, index: int) -> FrameTruth:
         """Return the ground truth of frame `index`.

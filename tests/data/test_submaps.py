@@ -59,7 +59,7 @@ def test_the_main_piece_has_most_keyframes_and_of_equals_is_the_oldest() -> None
     assert submaps.main(world) == 1
     world.remove_keyframe(6)
     assert submaps.main(world) == 0
-    assert submaps.main(Map(world.scales)) == 0
+    assert submaps.main(Map(world.scales)) == submaps.NONE
 
 
 def test_of_a_map_that_is_gone_on_in_only_the_new_keyframes_count() -> None:

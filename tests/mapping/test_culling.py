@@ -5,7 +5,8 @@ import pytest
 from small_world import SmallMap, SmallWorld, pose
 
 from stillroom.data.map import Covisibility
-from stillroom.mapping.culling import MIN_OBSERVATIONS, TRIAL_KEYFRAMES, count_redundant, cull_keyframes, cull_points
+from stillroom.data.sensor import Sensor
+from stillroom.mapping.culling import TRIAL, Trial, count_redundant, cull_keyframes, cull_points
 
 CLOSE_M = 3.0
 ALONG = [pose(0.05 * k, 0.0, 0.02 * k) for k in range(6)]
@@ -15,7 +16,7 @@ def three_points() -> tuple[SmallMap, np.ndarray]:
     small = SmallMap.of(SmallWorld.of(0, 60), ALONG[:2])
     ids = small.map.points_of(0)[small.map.points_of(0) >= 0][:3]
     small.map.points.first_keyframe[ids] = 10
-    small.map.points.n_observations[ids] = MIN_OBSERVATIONS + 1
+    small.map.points.n_observations[ids] = TRIAL.min_observations + 1
     return small, ids
 
 
@@ -23,13 +24,13 @@ def three_points() -> tuple[SmallMap, np.ndarray]:
     ("age", "n_observations", "n_found", "n_visible", "stays", "on_trial"),
     [
         (0, 2, 1, 1, True, True),
-        (TRIAL_KEYFRAMES - 1, 2, 1, 4, True, True),
-        (TRIAL_KEYFRAMES, 4, 1, 1, True, False),
-        (TRIAL_KEYFRAMES, 3, 1, 1, False, False),
-        (TRIAL_KEYFRAMES + 9, 3, 9, 9, False, False),
+        (TRIAL.keyframes - 1, 2, 1, 4, True, True),
+        (TRIAL.keyframes, 4, 1, 1, True, False),
+        (TRIAL.keyframes, 3, 1, 1, False, False),
+        (TRIAL.keyframes + 9, 3, 9, 9, False, False),
         (0, 9, 1, 5, False, False),
         (0, 9, 1, 4, True, True),
-        (TRIAL_KEYFRAMES, 9, 10, 41, False, False),
+        (TRIAL.keyframes, 9, 10, 41, False, False),
     ],
 )
 def test_a_point_on_trial(
@@ -44,7 +45,7 @@ def test_a_point_on_trial(
     assert points.is_alive[one] == stays
     assert (one in left) == on_trial
     assert points.is_alive[ids[[0, 2]]].all()
-    assert (ids[0] in left) == (age < TRIAL_KEYFRAMES)
+    assert (ids[0] in left) == (age < TRIAL.keyframes)
     if not stays:
         assert one not in small.map.keypoints.point
 
@@ -133,3 +134,19 @@ def test_a_keyframe_goes_only_when_more_than_nine_tenths_are_redundant() -> None
 def test_a_keyframe_without_close_points_stays() -> None:
     small = SmallMap.of(SmallWorld.of(3, 300, near_m=4.0), [pose(0.002 * k) for k in range(6)])
     assert cull_keyframes(5, CLOSE_M, small.map) == []
+
+
+def test_a_trial_may_be_shorter_and_ask_for_fewer_views() -> None:
+    small, ids = three_points()
+    small.map.points.n_observations[ids] = (2, 3, 3)
+    left = cull_points(ids, 12, small.map, Trial(keyframes=2, min_observations=2))
+    assert small.map.points.is_alive[ids].tolist() == [False, True, True]
+    assert len(left) == 0
+
+
+def test_with_a_single_camera_all_points_of_a_keyframe_count() -> None:
+    small = SmallMap.of(SmallWorld.of(1, 300, near_m=4.0), [pose(0.002 * k) for k in range(6)], depth_share=0.0)
+    assert cull_keyframes(5, np.inf, small.map) == [], "no keypoint of a map in metres has a depth here"
+    small.map.sensor = Sensor.MONOCULAR
+    assert cull_keyframes(5, np.inf, small.map)
+    assert len(small.map.alive_keyframes()) == 3

@@ -6,9 +6,9 @@ from dataclasses import replace
 from stillroom.bench.accuracy import NONE, Accuracy
 from stillroom.config import SlamConfig
 from stillroom.config.kinds import MatchSieveConfig
+from stillroom.config.sensors import with_depth
 from stillroom.dynamics.cluster_sieve import ClusterSieveConfig
 from stillroom.evaluation.report import percent
-from stillroom.optimize.bundle import BundleConfig
 from stillroom.presets import stillroom as own
 from stillroom.tracking.shutter import GLOBAL, ROLLING, DepthNoiseConfig
 
@@ -48,21 +48,6 @@ def shutter_parts(config: SlamConfig) -> dict[str, SlamConfig]:
     if limited == nothing.dynamics:
         del parts[TURNS]
     return parts
-
-
-def with_depth(config: SlamConfig, depth: DepthNoiseConfig) -> SlamConfig:
-    """Return a config in which depth counts as it says, in poses and in all bundle adjustments."""
-    mapping, loops = config.mapping, config.loops
-
-    def weighed(bundle: BundleConfig) -> BundleConfig:
-        return replace(bundle, right_sigma=depth.right_sigma, depth_model=depth.model)
-
-    return replace(
-        config,
-        tracking=replace(config.tracking, depth=depth),
-        mapping=replace(mapping, bundle=weighed(mapping.bundle), looped_bundle=weighed(mapping.looped_bundle)),
-        loops=replace(loops, bundle=weighed(loops.bundle)),
-    )
 
 
 def row(accuracy: Accuracy) -> tuple[str, ...]:

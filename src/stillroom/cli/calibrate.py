@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from stillroom.cli.arguments import CameraName, ConfigFile, Fps, Frames, Seed, Settings
+from stillroom.errors import ConfigError
 
 if TYPE_CHECKING:
     from stillroom.cli.output import FrameBar
@@ -93,13 +94,16 @@ def _opened(
     """Return the recording, what tracks it, and a bar that says how far it is."""
     from stillroom.cli.output import STDERR, FrameBar, show_log
     from stillroom.cli.warmup import ensure_warm
-    from stillroom.datasets.recording import rendered
+    from stillroom.data.sensor import Sensor
+    from stillroom.datasets.recording import rendered, sensor_of
     from stillroom.pipeline import Source
     from stillroom.presets.registry import configure
 
     show_log()
     chosen = configure(method or (STATIC if config is None else None), config, settings or (), seed)
     dataset = Source(sequence, camera, fps, frames).open()
+    if sensor_of(dataset) is not Sensor.RGBD:
+        raise ConfigError(f"{dataset.name}: has no depth images, from which a readout is told")
     ensure_warm(STDERR, rendered(dataset) is not None)
     bar = FrameBar(STDERR)
     bar.label = "calibrating"

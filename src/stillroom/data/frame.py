@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image
 from stillroom.geometry.arrays import F32, F64, I32, U8, Bool
 from stillroom.geometry.camera import Camera
 
@@ -77,7 +77,7 @@ class Frame:
             them to mid-frame; None where they were not, as under a global shutter.
     """
 
-    image: RgbdImage
+    image: Image
     camera: Camera
     scales: ScaleLevels
     keypoints: Keypoints

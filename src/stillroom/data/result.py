@@ -30,6 +30,23 @@ class Recovery(Enum):
 
 
 @dataclass(frozen=True)
+class FirstView:
+    """The image with which a map of a single camera begins, beside the one that it is tracked in.
+
+    Attributes:
+        tracked: The image, with its pose and what is dynamic in it.
+        keypoint: Its keypoints (M,) int32 that see a point.
+        matched: The keypoints (M,) int32 of the present frame that see the same point.
+        points_world_m: The points (M, 3).
+    """
+
+    tracked: "Tracked"
+    keypoint: I32 = field(repr=False)
+    matched: I32 = field(repr=False)
+    points_world_m: F64 = field(repr=False)
+
+
+@dataclass(frozen=True)
 class Tracked:
     """A frame with its place in the map; passed from tracking to mapping.
 
@@ -41,6 +58,7 @@ class Tracked:
         motion: What is dynamic in the image: pixels, and the classification of each keypoint.
         reference_keyframe: Id of the keyframe that shares most points; −1 before there is one.
         recovery: How the frame was relocalized, where tracking was lost before it.
+        first_view: The other image of a map that a single camera begins with this frame; neither is in the map yet.
     """
 
     frame: Frame
@@ -50,6 +68,7 @@ class Tracked:
     motion: Motion = field(repr=False)
     reference_keyframe: int = -1
     recovery: Recovery = Recovery.NONE
+    first_view: FirstView | None = None
 
     @property
     def recovered(self) -> bool:

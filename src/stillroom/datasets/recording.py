@@ -6,7 +6,8 @@ from typing import cast
 
 import numpy as np
 
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image
+from stillroom.data.sensor import Sensor
 from stillroom.data.trajectory import Trajectory
 from stillroom.errors import FrameError
 from stillroom.geometry.arrays import F64, I64
@@ -16,7 +17,7 @@ from stillroom.protocols import Dataset, KnownScene, Origin, RenderedDataset
 log = logging.getLogger(__name__)
 
 
-def readable_images(dataset: Dataset) -> Iterator[RgbdImage]:
+def readable_images(dataset: Dataset) -> Iterator[Image]:
     """Yield the images of a data set in order; those that cannot be used are left out with a warning each."""
     for place in range(len(dataset)):
         try:
@@ -35,6 +36,11 @@ def unpaired_s(dataset: Dataset) -> F64:
     return np.asarray(getattr(dataset, "unpaired_s", ()), dtype=np.float64)
 
 
+def sensor_of(origin: Origin) -> Sensor:
+    """Return what kind of camera takes the images; RGB-D where a data set not built on `Recording` does not say it."""
+    return Sensor(getattr(origin, "sensor", Sensor.RGBD))
+
+
 def groundtruth_flaw(dataset: Origin) -> str:
     """Return why the ground truth that lies with a data set cannot be used; empty where it can, or there is none."""
     return str(getattr(dataset, "groundtruth_flaw", ""))
@@ -47,7 +53,8 @@ class Recording:
 
     Attributes:
         name: Short name, used for the results folder.
-        camera: The calibration in force.
+        sensor: What kind of camera takes the images; RGB-D unless a subclass says otherwise.
+        camera: The calibration in force; that of the rectified left images of stereo pairs.
         camera_source: One line that says where the calibration comes from.
         timestamps_s: Times of the colour images (N,) float64 [s], strictly increasing.
         groundtruth: True poses as the data set gives them.
@@ -62,6 +69,7 @@ class Recording:
     camera: Camera
     camera_source: str
     timestamps_s: F64
+    sensor: Sensor = Sensor.RGBD
     groundtruth: Trajectory | None = None
     groundtruth_at_camera: Trajectory | None = None
     is_reversed: bool = False
@@ -82,7 +90,7 @@ class Recording:
         """Number of images."""
         return len(self.timestamps_s)
 
-    def __iter__(self) -> Iterator[RgbdImage]:
+    def __iter__(self) -> Iterator[Image]:
         """Yield the images in order; those that cannot be used are left out with a warning each."""
         return readable_images(cast(Dataset, self))
 
@@ -110,6 +118,11 @@ class DatasetView:
     def name(self) -> str:
         """Name of the original."""
         return self._inner.name
+
+    @property
+    def sensor(self) -> Sensor:
+        """What kind of camera takes the images."""
+        return sensor_of(self._inner)
 
     @property
     def camera(self) -> Camera:
@@ -165,11 +178,11 @@ class DatasetView:
         """Number of images."""
         return len(self._inner)
 
-    def __iter__(self) -> Iterator[RgbdImage]:
+    def __iter__(self) -> Iterator[Image]:
         """Yield the images in order; those that cannot be used are left out with a warning each."""
         return readable_images(self)
 
-    def load(self, index: int) -> RgbdImage:
+    def load(self, index: int) -> Image:
         """Return image `index`.
 
         Raises:

@@ -1,5 +1,7 @@
 """Culling: unreliable points and redundant keyframes."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from stillroom.compiled import njit
@@ -8,22 +10,34 @@ from stillroom.data.map.links import Links
 from stillroom.geometry.arrays import F32, I32, Bool
 
 MIN_FOUND_RATIO = 0.25
-MIN_OBSERVATIONS = 3
-TRIAL_KEYFRAMES = 8
-"""ORB-SLAM2 has 2. Its keyframes lie further apart in time; here that would remove most of the points of a fast
-rotation.
-"""
 REDUNDANT_SHARE = 0.9
 _MIN_OTHERS = 3
 
 
-def on_trial(world: Map) -> I32:
+@dataclass(frozen=True)
+class Trial:
+    """How long a new point is tested, and what it must show.
+
+    Attributes:
+        keyframes: Keyframes after which a point must be seen often enough. ORB-SLAM2 has 2. Its keyframes lie further
+            apart in time; here that would remove most of the points of a fast rotation.
+        min_observations: A point must then have more than so many observations; one with depth counts as two.
+    """
+
+    keyframes: int = 8
+    min_observations: int = 3
+
+
+TRIAL = Trial()
+
+
+def on_trial(world: Map, trial: Trial = TRIAL) -> I32:
     """Return the recent points (P,), which are still being tested: those of the last keyframes."""
-    first = len(world.keyframes) - TRIAL_KEYFRAMES
+    first = len(world.keyframes) - trial.keyframes
     return np.flatnonzero(world.points.is_alive & (world.points.first_keyframe >= first)).astype(np.int32)
 
 
-def cull_points(recent: I32, keyframe: int, world: Map) -> I32:
+def cull_points(recent: I32, keyframe: int, world: Map, trial: Trial = TRIAL) -> I32:
     """Remove recent points (P,) that are rarely found or, after some keyframes, hardly seen; return the others.
 
     An observation with depth counts as two (docs/reference.md#orb-slam2-mapping).
@@ -32,15 +46,16 @@ def cull_points(recent: I32, keyframe: int, world: Map) -> I32:
     recent = recent[points.is_alive[recent]]
     age = keyframe - points.first_keyframe[recent]
     rarely = points.n_found[recent] < MIN_FOUND_RATIO * points.n_visible[recent]
-    hardly = (age >= TRIAL_KEYFRAMES) & (points.n_observations[recent] <= MIN_OBSERVATIONS)
+    hardly = (age >= trial.keyframes) & (points.n_observations[recent] <= trial.min_observations)
     world.remove_points(recent[rarely | hardly])
-    return recent[~(rarely | hardly) & (age < TRIAL_KEYFRAMES)]
+    return recent[~(rarely | hardly) & (age < trial.keyframes)]
 
 
 def cull_keyframes(keyframe: int, close_depth_m: float, world: Map) -> list[int]:
     """Remove covisible keyframes of which 90 % of the close points are seen by three others as finely.
 
-    The first keyframe of a sub-map, which is its origin, and the newest stay.
+    With a single camera, which measures no depth, all points count. The first keyframe of a sub-map, which is its
+    origin, and the newest stay.
 
     Returns:
         The removed keyframes.
@@ -51,8 +66,9 @@ def cull_keyframes(keyframe: int, close_depth_m: float, world: Map) -> list[int]
             continue
         rows = world.rows(candidate)
         table, points = world.keypoints, world.points
+        depth_m = table.depth_m if world.sensor.is_metric else np.ones_like(table.depth_m)
         n_close, n_redundant = count_redundant(
-            rows.start, rows.stop, close_depth_m, world.lists, table.depth_m, table.octave, points.is_alive
+            rows.start, rows.stop, close_depth_m, world.lists, depth_m, table.octave, points.is_alive
         )
         if n_close > 0 and n_redundant > REDUNDANT_SHARE * n_close:
             world.remove_keyframe(candidate)

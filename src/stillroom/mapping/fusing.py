@@ -24,9 +24,9 @@ def neighbourhood(keyframe: int, world: Map, n_first: int = 10, n_second: int = 
     return list(chosen)
 
 
-def fuse_neighbourhood(keyframe: int, camera: Camera, world: Map) -> None:
+def fuse_neighbourhood(keyframe: int, camera: Camera, world: Map, n_neighbours: int = 10) -> None:
     """Project the keyframe's points into its neighbours and theirs into it, and fuse matches (ORB-SLAM2)."""
-    neighbours = neighbourhood(keyframe, world)
+    neighbours = neighbourhood(keyframe, world, n_neighbours)
     for neighbour in neighbours:
         own = world.points_of(keyframe)
         fuse(own[own >= 0], neighbour, camera, world)

@@ -1,16 +1,16 @@
 """Local mapping (ORB-SLAM2): the update of the map for a new keyframe."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from stillroom.bounds import bounded
 from stillroom.data.map import Map
-from stillroom.data.result import Tracked
+from stillroom.data.result import FirstView, Tracked
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import I32, I64
 from stillroom.geometry.camera import Camera
-from stillroom.mapping.culling import cull_keyframes, cull_points, on_trial
+from stillroom.mapping.culling import TRIAL, Trial, cull_keyframes, cull_points, on_trial
 from stillroom.mapping.fusing import fuse_neighbourhood
 from stillroom.mapping.new_points import by_triangulation, from_depth
 from stillroom.optimize import observations
@@ -109,6 +109,9 @@ class LocalMapperConfig:
     Attributes:
         th_depth: Points nearer than this many baselines are close: made from depth, counted for redundancy.
         n_neighbours: Covisible keyframes to triangulate with.
+        n_fused: Covisible keyframes whose points are searched in a new one, and the reverse.
+        trial_keyframes: A new point is tested for so many keyframes …
+        min_observations: … and must then have more than so many observations; one with depth counts as two.
         max_bundle_keyframes: Keyframes that local bundle adjustment moves, at most.
         cull_keyframes: Whether redundant keyframes are removed.
         max_final_keyframes: When the run ends, the whole map is adjusted once more if it has no more keyframes than
@@ -122,6 +125,9 @@ class LocalMapperConfig:
 
     th_depth: float = bounded(40.0, above=0)
     n_neighbours: int = bounded(5, least=0)
+    n_fused: int = bounded(10, least=0)
+    trial_keyframes: int = bounded(TRIAL.keyframes, least=1)
+    min_observations: int = bounded(TRIAL.min_observations, least=0)
     max_bundle_keyframes: int = bounded(20, least=1)
     cull_keyframes: bool = True
     max_final_keyframes: int = bounded(200, least=0)
@@ -141,14 +147,21 @@ class LocalMapper:
         """Start with the recent points that an earlier run left."""
         self.config, self.camera, self.world = config, camera, world
         self._adjust, self._adjust_looped = config.bundle.build(), config.looped_bundle.build()
-        self._close_depth_m = config.th_depth * camera.baseline_m
-        self._on_trial = on_trial(world)
+        # With a single camera all points count as close.
+        self._close_depth_m = config.th_depth * camera.baseline_m if world.sensor.is_metric else np.inf
+        self._trial = Trial(config.trial_keyframes, config.min_observations)
+        self._on_trial = on_trial(world, self._trial)
         self._has_inserted = False
 
     def insert(self, tracked: Tracked) -> int:
-        """Add a frame as a keyframe, with points from the depth of its static keypoints; return its id."""
-        assert tracked.T_world_cam is not None
+        """Add a frame as a keyframe, with points from the depth of its static keypoints; return its id.
+
+        With it the first image of a map that a single camera begins, and the points of both.
+        """
         self._has_inserted = True
+        if tracked.first_view is not None:
+            tracked = self._with_first(tracked, tracked.first_view)
+        assert tracked.T_world_cam is not None
         # Points may have been joined or removed since they were matched, while tracking waited for a worker.
         point_ids = self.world.current_ids(tracked.point_ids)
         keyframe = self.world.add_keyframe(
@@ -164,13 +177,31 @@ class LocalMapper:
         self.world.connect(keyframe)
         return keyframe
 
+    def _with_first(self, tracked: Tracked, view: FirstView) -> Tracked:
+        """Add the first keyframe of a map and its points; return the frame of the second one, which sees them."""
+        first, world = view.tracked, self.world
+        assert first.T_world_cam is not None
+        keyframe = world.add_keyframe(
+            first.frame,
+            first.T_world_cam,
+            first.point_ids,
+            first.is_static,
+            first.reference_keyframe,
+            first.motion.p_static,
+        )
+        new = world.add_points(view.points_world_m, world.rows(keyframe).start + view.keypoint.astype(np.int64))
+        self._on_trial = np.append(self._on_trial, new)
+        point_ids = tracked.point_ids.copy()
+        point_ids[view.matched] = new
+        return replace(tracked, point_ids=point_ids, reference_keyframe=keyframe)
+
     def refine(self, keyframe: int) -> None:
         """Cull, triangulate, fuse, adjust and cull around a new keyframe."""
         world = self.world
         with world.lock:
             seen = world.points_of(keyframe)
             world.refresh(seen[seen >= 0])
-            self._on_trial = cull_points(self._on_trial, keyframe, world)
+            self._on_trial = cull_points(self._on_trial, keyframe, world, self._trial)
             neighbours = world.covisibility.neighbours(keyframe, self.config.n_neighbours)
         if not neighbours:
             return
@@ -178,7 +209,7 @@ class LocalMapper:
             new = by_triangulation(keyframe, neighbours, self.camera, world)
             self._on_trial = np.append(self._on_trial, new)
         with world.lock:
-            fuse_neighbourhood(keyframe, self.camera, world)
+            fuse_neighbourhood(keyframe, self.camera, world, self.config.n_fused)
         adjust_locally(keyframe, self.config.max_bundle_keyframes, self.camera, self._adjust, world)
         if self.config.cull_keyframes:
             with world.lock:

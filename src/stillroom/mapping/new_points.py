@@ -19,6 +19,8 @@ MIN_NEAREST = 100
 """A keyframe makes at least this many points from depth, however far (ORB-SLAM2)."""
 _CHI2_2D, _CHI2_3D = 5.991, 7.815
 _LARGEST_COSINE = 0.9998
+_SHORTEST = 0.01
+"""Baseline that tells depth, as a share of the scene's median depth."""
 
 
 def from_depth(keyframe: int, tracked: Tracked, close_depth_m: float, world: Map) -> I32:
@@ -55,7 +57,7 @@ def by_triangulation(keyframe: int, neighbours: list[int], camera: Camera, world
     made = [np.zeros(0, dtype=np.int32)]
     centre = world.keyframes.T_world_cam[keyframe, :3, 3]
     for neighbour in neighbours:
-        if np.linalg.norm(world.keyframes.T_world_cam[neighbour, :3, 3] - centre) < camera.baseline_m:
+        if np.linalg.norm(world.keyframes.T_world_cam[neighbour, :3, 3] - centre) < shortest(neighbour, camera, world):
             continue
         first, second = _search(keyframe, neighbour, camera, world)
         if len(first) == 0:
@@ -67,6 +69,20 @@ def by_triangulation(keyframe: int, neighbours: list[int], camera: Camera, world
     ids = np.concatenate(made)
     world.refresh(ids)
     return ids
+
+
+def shortest(neighbour: int, camera: Camera, world: Map) -> float:
+    """Return the shortest baseline with a neighbour that tells depth (ORB-SLAM2).
+
+    That of the camera, below which measured depth is better; with a single camera a share of the scene's median depth,
+    infinite where the neighbour sees nothing.
+    """
+    if world.sensor.is_metric:
+        return camera.baseline_m
+    seen = world.points_of(neighbour)
+    T_cam_world = se3.inverse(world.keyframes.T_world_cam[neighbour])
+    depths = world.points.position_m[seen[seen >= 0]] @ T_cam_world[2, :3] + T_cam_world[2, 3]
+    return _SHORTEST * float(np.median(depths)) if len(depths) else np.inf
 
 
 def _search(keyframe: int, neighbour: int, camera: Camera, world: Map) -> tuple[I64, I64]:

@@ -169,6 +169,7 @@ class WithDepthClock(DatasetView):
     def load(self, index: int) -> RgbdImage:
         """Return image `index`, with the time of its depth."""
         image = self._inner.load(index)
+        assert isinstance(image, RgbdImage), f"depth of a {image.sensor.words} image has no clock"
         return replace(image, depth_after_s=image.depth_after_s + self._after_s)
 
 

@@ -41,7 +41,7 @@ from stillroom.data.dense_cloud import NAME as DENSE
 from stillroom.data.dense_cloud import DenseCloud
 from stillroom.data.map import submaps
 from stillroom.data.replacing import cannot_be_written, replace_text
-from stillroom.data.result import Recovery
+from stillroom.data.result import Recovery, TrackingState
 from stillroom.data.trajectory import Trajectory, read_tum
 from stillroom.errors import NO_MEMORY, ConfigError, StillroomError
 from stillroom.evaluation.report import Evaluation, to_json
@@ -338,6 +338,9 @@ def run_figures(outcome: RunOutcome) -> dict[str, Any]:
     tracked = [r for r in frames if r.T_world_cam is not None]
     rows = outcome.system.tracker.rows
     return {
+        "sensor": outcome.sensor.value,
+        "left_out": list(outcome.left_out),
+        "n_left_out": len(outcome.left_out),
         "n_unreadable": outcome.n_bad,
         "doubts": [str(doubt) for doubt in outcome.doubts],
         "n_unpaired": outcome.n_unpaired,
@@ -345,6 +348,9 @@ def run_figures(outcome: RunOutcome) -> dict[str, Any]:
         "readout": None if rows is None else asdict(rows),
         "n_looked_again": outcome.system.last_look.n_improved,
         "n_not_looked_again_for_memory": outcome.system.last_look.n_forgotten,
+        "n_before_map": sum(r.state is TrackingState.NOT_INITIALIZED for r in frames),
+        "two_views_refused": dict(outcome.system.tracker.start.beginnings.refusals),
+        "n_maps_dropped": outcome.system.tracker.start.beginnings.n_dropped,
         "interrupted": outcome.interrupted,
         "n_pictures_failed": outcome.ornaments.n_failed,
         "n_frames_not_shown": outcome.ornaments.n_not_shown,

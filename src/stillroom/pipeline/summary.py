@@ -16,6 +16,21 @@ def coverage(n_tracked: int, n_recorded: int | None, why: str) -> str:
     return f"{n_tracked} of {n_recorded} frames tracked ({share}); {why}"
 
 
+def before_map(figures: Mapping[str, Any]) -> list[str]:
+    """Return which images have no pose because there was no map yet, and what was dropped; nothing where all have."""
+    said = []
+    n_before, n_dropped = figures.get("n_before_map", 0), figures.get("n_maps_dropped", 0)
+    if n_before:
+        refused = figures.get("two_views_refused", {})
+        why = f" (two images were refused: {', '.join(f'{why}, {n}' for why, n in refused.items())})" if refused else ""
+        images = "1 image has" if n_before == 1 else f"{n_before} images have"
+        said.append(f"{images} no pose: a map could not be begun yet{why}")
+    if n_dropped:
+        maps = "1 map was" if n_dropped == 1 else f"{n_dropped} maps were"
+        said.append(f"{maps} dropped: tracking was lost soon after it began")
+    return said
+
+
 def sentences(figures: Mapping[str, Any], n_given: int | None, has_segmenter: bool = True) -> list[str]:
     """Return what a run came to, beside its errors.
 
@@ -36,6 +51,7 @@ def sentences(figures: Mapping[str, Any], n_given: int | None, has_segmenter: bo
         rate = 1000.0 / cost["wall_mean_ms"]
         text += f"; a frame took {cost['wall_median_ms']:.1f} ms (median), {rate:.1f} frames/s on average"
     said.append(text)
+    said += before_map(figures)
     if figures["live"] is not None:
         said += live_sentences(figures["live"], has_segmenter)
     return said

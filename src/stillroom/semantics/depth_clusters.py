@@ -5,12 +5,13 @@ box is clustered separately, so that furniture beyond the box is not included.
 """
 
 from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 import numpy as np
 
 from stillroom.bounds import bounded, check
 from stillroom.data.clusters import PLANE, UNKNOWN, Clusters
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image
 from stillroom.data.semantics import Semantics, boxes_xyxy_px
 from stillroom.geometry.arrays import F32
 from stillroom.geometry.camera import Camera
@@ -38,7 +39,7 @@ class NoClustersConfig:
 class NoClusters:
     """The null object: no clusters."""
 
-    def __call__(self, image: RgbdImage, semantics: Pending[Semantics]) -> Semantics:
+    def __call__(self, image: Image, semantics: Pending[Semantics]) -> Semantics:
         """Return the semantics as they are."""
         return semantics.result()
 
@@ -58,6 +59,8 @@ class DepthClustersConfig:
         planes: What counts as a plane.
         segments: How the rest becomes clusters.
     """
+
+    needs_depth_image: ClassVar[bool] = True
 
     stride: int = bounded(4, least=1, pixels=1)
     min_depth_m: float = bounded(0.2, least=0)
@@ -92,7 +95,7 @@ class DepthClusterer:
         self._camera = camera
         self._grid: tuple[int, int, RayGrid] | None = None
 
-    def __call__(self, image: RgbdImage, semantics: Pending[Semantics]) -> Semantics:
+    def __call__(self, image: Image, semantics: Pending[Semantics]) -> Semantics:
         """Return the semantics with the clusters of the image's depth; boxes are awaited after the planes."""
         config = self.config
         grid = self._grid_for(*image.depth_m.shape)
@@ -123,7 +126,7 @@ class DepthClusterer:
             self._grid = (height, width, ray_grid(self._camera, height, width, self.config.stride))
         return self._grid[2]
 
-    def _noun(self, image: RgbdImage, grid: RayGrid, points_m: F32, planes: Planes, found: CloudSegments) -> Clusters:
+    def _noun(self, image: Image, grid: RayGrid, points_m: F32, planes: Planes, found: CloudSegments) -> Clusters:
         """Return the clusters with their label image."""
         labels = found.segment_of.astype(np.int16)
         np.putmask(labels, planes.plane_of >= 0, PLANE)

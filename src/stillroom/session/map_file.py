@@ -10,6 +10,7 @@ from stillroom.bounds import in_pixels_of
 from stillroom.config import SlamConfig, to_toml
 from stillroom.data.dense_cloud import DenseCloud
 from stillroom.data.map import Map
+from stillroom.data.sensor import Sensor
 from stillroom.dense.dense_mapper import DenseMapperConfig
 from stillroom.dense.no_dense_map import NoDenseMapConfig
 from stillroom.errors import MapError
@@ -94,7 +95,9 @@ class OpenedMap:
 
 
 @contextmanager
-def opened_map(file: MapFile | None, config: SlamConfig, camera: Camera, sequence: str) -> Iterator[OpenedMap]:
+def opened_map(
+    file: MapFile | None, config: SlamConfig, camera: Camera, sequence: str, sensor: Sensor = Sensor.RGBD
+) -> Iterator[OpenedMap]:
     """Open the map file of a run, where it has one, and let it go in any case.
 
     Args:
@@ -102,6 +105,7 @@ def opened_map(file: MapFile | None, config: SlamConfig, camera: Camera, sequenc
         config: The method.
         camera: The calibration of the images to come.
         sequence: What they are called.
+        sensor: What kind of camera takes them.
 
     Raises:
         MapError: The file cannot be used so, or does not fit the config or the camera; it is then as it was.
@@ -110,12 +114,14 @@ def opened_map(file: MapFile | None, config: SlamConfig, camera: Camera, sequenc
         yield OpenedMap()
         return
     earlier = None if file.use is MapUse.NEW else _loaded(file.path, config)
+    if earlier is not None:
+        _require_sensor(file, earlier.world.sensor, sensor, sequence)
     if file.use is MapUse.LOCALIZE:
         assert earlier is not None
         yield OpenedMap(earlier.world, earlier=earlier)
         return
     if earlier is None:
-        world = Map(config.features.scales(camera))
+        world = Map(config.features.scales(camera), sensor)
         writer = MapWriter.create(file.path, world, camera)
     else:
         _require_camera(file.path, earlier.camera, camera, sequence)
@@ -144,6 +150,18 @@ def _loaded(path: Path, config: SlamConfig) -> StoredMap:
     if len(stored.world.keyframes) == 0:
         raise MapError(f"{path}: holds no keyframe; there is nothing to recognise; make it again")
     return stored
+
+
+def _require_sensor(file: MapFile, made_with: Sensor, sensor: Sensor, sequence: str) -> None:
+    """Refuse a map that a sensor cannot use so: lengths differ, or one map would hold keyframes of two sensors."""
+    if sensor is made_with or (made_with.is_metric and sensor.is_metric and file.use is MapUse.LOCALIZE):
+        return
+    which = f"{file.path}: is a map of {made_with.words} images, and {sequence} has {sensor.words} ones"
+    if made_with.is_metric and sensor.is_metric:
+        raise MapError(f"{which}; one map holds one sensor's keyframes; --localize works with both")
+    raise MapError(
+        f"{which}: lengths of a single camera are known up to a factor, those of the other in metres; make a new map"
+    )
 
 
 def _require_camera(path: Path, made_with: Camera, camera: Camera, sequence: str) -> None:

@@ -12,11 +12,13 @@ import numpy as np
 
 from stillroom.compiled import said_when_compiling
 from stillroom.config import SlamConfig, with_overrides
+from stillroom.config.sensors import fit_to_sensor
 from stillroom.data.dense_cloud import DenseCloud
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image, StereoImage
 from stillroom.data.map import Map
 from stillroom.data.result import FrameResult, Tracked, TrackingState
 from stillroom.data.semantics import Semantics
+from stillroom.data.sensor import Sensor, sensor_called
 from stillroom.data.trajectory import Trajectory
 from stillroom.errors import ConfigError, FrameError, MapError, StillroomError
 from stillroom.evaluation.timing import FRAME, StageClock
@@ -42,7 +44,7 @@ log = logging.getLogger(__name__)
 
 
 class Slam:
-    """An RGB-D SLAM system: images in, poses, moving pixels and maps out.
+    """A SLAM system: images in, poses, moving pixels and maps out.
 
     ::
 
@@ -58,6 +60,8 @@ class Slam:
     Attributes:
         config: The whole configuration.
         camera: The calibration of the images.
+        sensor: What kind of camera takes them.
+        left_out: What of the method does not work with that sensor and is left out, in words; each was logged once.
         clock: Times of the stages.
         system: The stages, and the map that they share.
         doubts: What is probably wrong with calibration or depth; each was logged once.
@@ -75,6 +79,7 @@ class Slam:
         segmenter: Segmenter | None = None,
         observers: Iterable[RunObserver] = (),
         schedule: str | Schedule = ScheduleName.IN_ORDER,
+        sensor: str | Sensor = Sensor.RGBD,
         sequence: str = "images from Python",
     ) -> None:
         """Initialise the system.
@@ -92,10 +97,11 @@ class Slam:
             schedule: "in-order" runs everything on the caller's thread, and the same images give the same result byte
                 for byte; "live" has the papers' threads: what may move, mapping and the dense map are done by workers
                 while tracking goes on.
+            sensor: What kind of camera takes the images: "rgbd", "stereo" or "monocular".
             sequence: Name of the images in a map file and in messages.
 
         Raises:
-            ConfigError: A method, a key or a value is wrong.
+            ConfigError: A method, a key or a value is wrong, or nothing of the method works with the sensor.
             WeightsError: A network's weights are absent.
             MapError: The map file cannot be used so, or does not fit.
             CalibrationError: No camera can have this calibration.
@@ -106,15 +112,17 @@ class Slam:
             raise ConfigError(f"map_use is '{map_use}', which needs a map: name its file")
         schedule = _schedule(schedule)
         self._is_live = isinstance(schedule, LiveSchedule)
-        config = _configured(method, settings, seed)
+        config, self.left_out = _fitted(_configured(method, settings, seed), sensor_called(sensor))
         self.config = config if file is None else file.fitting(config)
-        self.camera, self.clock = camera, StageClock()
+        self.camera, self.sensor, self.clock = camera, sensor_called(sensor), StageClock()
         self.doubts: list[Doubt] = []
         self._depths, self._times, self._rows = DepthRange(camera.depth_factor), ImageTimes(), ShutterDoubts()
         self._sequence, self._observers, self._newest = sequence, list(observers), _Newest()
         self._n_given, self._last_s, self._is_open = 0, -np.inf, True
         with ExitStack() as opening:
-            self._opened: OpenedMap = opening.enter_context(opened_map(file, self.config, camera, sequence))
+            self._opened: OpenedMap = opening.enter_context(
+                opened_map(file, self.config, camera, sequence, self.sensor)
+            )
             self.system = self._built(segmenter, schedule)
             opening.callback(weakref.finalize(self, one_thread.hold()))  # let go with the object at the latest
             self._opening = opening.pop_all()
@@ -130,6 +138,7 @@ class Slam:
             clock=self.clock,
             world=self._opened.world,
             keeper=self._opened.keeper,
+            sensor=self.sensor,
         )
 
     def observe(self, observer: RunObserver) -> None:
@@ -142,7 +151,7 @@ class Slam:
             log.warning("%s", each)
             self.doubts.append(each)
 
-    def process(self, image: RgbdImage, following: Sequence[RgbdImage] = ()) -> FrameResult:
+    def process(self, image: Image, following: Sequence[Image] = ()) -> FrameResult:
         """Track one image.
 
         Args:
@@ -161,10 +170,11 @@ class Slam:
             raise StillroomError("this Slam is closed; make another one for more images")
         self._require(image)
         if image.index < 0:
-            image = replace(image, index=self._n_given)
+            image = image.at(self._n_given, image.timestamp_s)
         self._n_given, self._last_s = self._n_given + 1, image.timestamp_s
         self.doubt(self._times.add(image.timestamp_s))
-        self.doubt(self._depths.add(image.depth_m))
+        if self.sensor is Sensor.RGBD:
+            self.doubt(self._depths.add(image.depth_m))
         is_first = len(self.system.results) == 0
         with self.clock.stage(FRAME), said_when_compiling() if is_first else nullcontext():
             result = self._repeated(image) or self._tracked(image, following)
@@ -247,7 +257,7 @@ class Slam:
         frames = (*earlier.frames, *(note for note in notes if note is not None))
         save_map(Path(path), StoredMap(self.map, earlier.camera, (*earlier.sessions, session), frames))
 
-    def _repeated(self, image: RgbdImage) -> FrameResult | None:
+    def _repeated(self, image: Image) -> FrameResult | None:
         """Return the result before, for an image that shows exactly the same; None for a new one.
 
         Recorders that wait for a slow sensor write the last image again. It carries no information, and a motion model
@@ -265,7 +275,7 @@ class Slam:
         self._newest.on_frame(replace(tracked, frame=replace(tracked.frame, image=image)), semantics, result)
         return result
 
-    def _tracked(self, image: RgbdImage, following: Sequence[RgbdImage]) -> FrameResult:
+    def _tracked(self, image: Image, following: Sequence[Image]) -> FrameResult:
         if self._is_live:
             self.system.begin(image)
             last = image
@@ -276,7 +286,7 @@ class Slam:
                 last = coming
         return self.system.process(image)
 
-    def _may_follow(self, image: RgbdImage, following: RgbdImage) -> bool:
+    def _may_follow(self, image: Image, following: Image) -> bool:
         """Return whether an image will be tracked after this one: it is neither refused nor a repetition."""
         try:
             self._require(following)
@@ -289,22 +299,29 @@ class Slam:
             self.system.close()
         self.clock.conclude()
 
-    def _require(self, image: RgbdImage) -> None:
+    def _require(self, image: Image) -> None:
         """Refuse an image that is not what the camera takes.
 
         Raises:
             FrameError: Saying what is wrong with it.
         """
         size, where = (self.camera.height, self.camera.width), f"image {self._n_given}"
+        if image.sensor is not self.sensor:
+            raise FrameError(f"{where}: is {image.sensor.words}; this Slam takes {self.sensor.words} images")
         if image.rgb.dtype != np.uint8 or image.rgb.shape != (*size, 3):
             raise FrameError(
                 f"{where}: rgb is {image.rgb.dtype} {image.rgb.shape}; the camera's images are uint8 {(*size, 3)}"
             )
-        if image.depth_m.dtype != np.float32 or image.depth_m.shape != size:
-            hint = f": divide a sensor's units by {self.camera.units_per_m:g}, as float32"
+        if isinstance(image, StereoImage) and (image.right.dtype != np.uint8 or image.right.shape != size):
+            raise FrameError(
+                f"{where}: right is {image.right.dtype} {image.right.shape}; it must be the brightness, uint8 {size}"
+            )
+        if image.has_depth_image and (image.depth_m.dtype != np.float32 or image.depth_m.shape != size):
+            is_whole = image.depth_m.dtype.kind in "iu"
+            hint = f": divide a sensor's units by {self.camera.units_per_m:g}, as float32" if is_whole else ""
             raise FrameError(
                 f"{where}: depth_m is {image.depth_m.dtype} {image.depth_m.shape}; it must be float32 {size} in metres"
-                + (hint if image.depth_m.dtype.kind in "iu" else "")
+                + hint
             )
         if not np.isfinite(image.timestamp_s):
             raise FrameError(f"{where}: its time is {image.timestamp_s}; give it in seconds")
@@ -330,11 +347,11 @@ class _Newest:
                 observer.on_frame(*self.seen)
 
 
-def _is_same(first: RgbdImage, second: RgbdImage) -> bool:
+def _is_same(first: Image, second: Image) -> bool:
     few = slice(None, None, 16)
     if not np.array_equal(first.rgb[few, few], second.rgb[few, few]):
         return False
-    return np.array_equal(first.rgb, second.rgb) and np.array_equal(first.depth_m, second.depth_m)
+    return all(np.array_equal(channel, second.channels[name]) for name, channel in first.channels.items())
 
 
 def _configured(method: str | SlamConfig, settings: Iterable[str], seed: int | None) -> SlamConfig:
@@ -342,6 +359,14 @@ def _configured(method: str | SlamConfig, settings: Iterable[str], seed: int | N
         return configure(method, overrides=settings, seed=seed)
     config = with_overrides(method, settings)
     return config if seed is None else replace(config, seed=seed)
+
+
+def _fitted(config: SlamConfig, sensor: Sensor) -> tuple[SlamConfig, tuple[str, ...]]:
+    """Return what of a config works with a sensor, and what was left out of it, which is logged."""
+    fitted, left_out = fit_to_sensor(config, sensor)
+    for part in left_out:
+        log.warning("%s with %s images: left out: %s", config.method, sensor.words, part)
+    return fitted, left_out
 
 
 def _schedule(asked: str | Schedule) -> Schedule:

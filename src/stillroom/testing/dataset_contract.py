@@ -8,17 +8,23 @@ In a test of your own::
         check_dataset(MyDataset("..."), KnownPixel(index=0, row=10, column=20, rgb=(200, 30, 30), depth_m=1.5))
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image, StereoImage
+from stillroom.data.sensor import Sensor
 from stillroom.data.trajectory import Trajectory
+from stillroom.datasets.recording import sensor_of
 from stillroom.errors import FrameError
+from stillroom.geometry.arrays import F32, U8
 from stillroom.geometry.camera import Camera
 from stillroom.protocols import Dataset
+from stillroom.testing.stereo_rows import disparities_px
 
 SAMPLED_FRAMES = 9
+FEWEST_CORNERS, MOST_ROWS_PX = 30, 1.0
+"""With fewer corners found in both images of a pair nothing is said of its rows; by how much these may differ [px]."""
 PLAUSIBLE_DEPTH_M = (0.05, 60.0)
 """The median depth of a room; millimetres taken for metres, or raw units, lie far outside."""
 
@@ -59,6 +65,8 @@ def check_dataset(dataset: Dataset, *known_pixels: KnownPixel) -> None:
     for place, image in first_pass.items():
         if image is not None:
             _check_image(dataset, place, image)
+    if sensor_of(dataset) is Sensor.STEREO:
+        _check_rows(dataset, first_pass)
     _check_repeats(dataset, first_pass)
     _check_iteration(dataset)
     for pixel in known_pixels:
@@ -124,7 +132,7 @@ def _check_borders(dataset: Dataset) -> None:
         raise AssertionError(f"load({index}) gives an image, of {len(dataset)}; it must raise IndexError")
 
 
-def _load(dataset: Dataset, place: int) -> RgbdImage | None:
+def _load(dataset: Dataset, place: int) -> Image | None:
     """Load a frame; None for an unusable one, which a data set may have."""
     try:
         return dataset.load(place)
@@ -132,15 +140,29 @@ def _load(dataset: Dataset, place: int) -> RgbdImage | None:
         return None
 
 
-def _check_image(dataset: Dataset, place: int, image: RgbdImage) -> None:
+def _check_image(dataset: Dataset, place: int, image: Image) -> None:
     assert image.timestamp_s == dataset.timestamps_s[place], f"image {place} has another time than timestamps_s"
     number = int(dataset.numbers[place])
     assert image.index == number, f"image {place} is numbered {image.index}, but numbers says {number}"
+    sensor = sensor_of(dataset)
+    assert image.sensor is sensor, f"image {place} is {image.sensor.words}, but the data set says {sensor.words}"
     check_pixels(dataset.camera, place, image)
 
 
-def check_pixels(camera: Camera, place: int, image: RgbdImage) -> None:
-    """Check types, sizes and plausibility of colours and depth of an image of a data set or a camera.
+def _check_rows(dataset: Dataset, images: dict[int, Image | None]) -> None:
+    """Check that pairs are rectified: corners lie in one row of both images, and not further right in the right."""
+    assert not dataset.camera.is_distorted, "the camera of rectified pairs has a distortion"
+    for place, image in images.items():
+        off_px = disparities_px(image) if isinstance(image, StereoImage) else np.zeros((0, 2))
+        if len(off_px) < FEWEST_CORNERS:
+            continue
+        across_px, down_px = np.median(off_px[:, 0]), np.median(np.abs(off_px[:, 1]))
+        assert down_px <= MOST_ROWS_PX, f"pair {place}: rows differ by {down_px:.1f} px; is it rectified?"
+        assert across_px > -MOST_ROWS_PX, f"pair {place}: the right image shows things further right; left for right?"
+
+
+def check_pixels(camera: Camera, place: int, image: Image) -> None:
+    """Check types, sizes and plausibility of what was measured, for an image of a data set or a camera.
 
     Raises:
         AssertionError: Something is wrong with them.
@@ -148,10 +170,20 @@ def check_pixels(camera: Camera, place: int, image: RgbdImage) -> None:
     size = (camera.height, camera.width)
     assert image.rgb.dtype == np.uint8, f"image {place}: rgb is {image.rgb.dtype}, not uint8"
     assert image.rgb.shape == (*size, 3), f"image {place}: rgb is {image.rgb.shape}, the camera {size}"
+    for name, pixels in image.channels.items():
+        assert pixels.flags.c_contiguous, f"image {place}: {name} is not contiguous; kernels need it to be"
+    if isinstance(image, StereoImage):
+        assert image.right.dtype == np.uint8, f"image {place}: right is {image.right.dtype}, not uint8"
+        assert image.right.shape == size, f"image {place}: right is {image.right.shape}, the camera {size}"
+    if image.has_depth_image:
+        _check_depth(size, place, image)
+    if image.truth is not None:
+        assert (image.truth.height, image.truth.width) == size, f"image {place}: truth is of another size"
+
+
+def _check_depth(size: tuple[int, int], place: int, image: Image) -> None:
     assert image.depth_m.dtype == np.float32, f"image {place}: depth_m is {image.depth_m.dtype}, not float32"
     assert image.depth_m.shape == size, f"image {place}: depth_m is {image.depth_m.shape}, the camera {size}"
-    for name, pixels in (("rgb", image.rgb), ("depth_m", image.depth_m)):
-        assert pixels.flags.c_contiguous, f"image {place}: {name} is not contiguous; kernels need it to be"
     assert np.all(np.isfinite(image.depth_m)), f"image {place}: depth_m has NaN or infinity; unknown is 0"
     assert np.all(image.depth_m >= 0), f"image {place}: depth_m is negative somewhere; unknown is 0"
     known_m = image.depth_m[image.depth_m > 0]
@@ -159,13 +191,23 @@ def check_pixels(camera: Camera, place: int, image: RgbdImage) -> None:
         low, high = PLAUSIBLE_DEPTH_M
         median_m = float(np.median(known_m))
         assert low < median_m < high, f"image {place}: the median depth is {median_m} m; is the depth factor right?"
-    if image.truth is not None:
-        assert (image.truth.height, image.truth.width) == size, f"image {place}: truth is of another size"
 
 
-def _check_repeats(dataset: Dataset, first_pass: dict[int, RgbdImage | None]) -> None:
+@dataclass(frozen=True)
+class _Taken:
+    """What an image was when it was loaded first, whatever a caller does to its arrays."""
+
+    index: int
+    channels: dict[str, U8 | F32]
+
+    @staticmethod
+    def of(image: Image) -> "_Taken":
+        return _Taken(image.index, {name: channel.copy() for name, channel in image.channels.items()})
+
+
+def _check_repeats(dataset: Dataset, first_pass: dict[int, Image | None]) -> None:
     """Load again in reverse order, twice each: neither the order nor changes to an image by a caller may matter."""
-    copies = {place: image and _copied(image) for place, image in first_pass.items()}
+    copies = {place: image and _Taken.of(image) for place, image in first_pass.items()}
     for place, before in reversed(copies.items()):
         for _ in range(2):
             again = _load(dataset, place)
@@ -173,16 +215,11 @@ def _check_repeats(dataset: Dataset, first_pass: dict[int, RgbdImage | None]) ->
             if again is None or before is None:
                 continue
             assert again.index == before.index, f"image {place} changes its number"
-            assert np.array_equal(again.rgb, before.rgb), f"image {place}: rgb differs when it is loaded again"
-            assert np.array_equal(again.depth_m, before.depth_m), f"image {place}: depth differs when loaded again"
-            if again.rgb.flags.writeable:
-                again.rgb[:] ^= 255
-            if again.depth_m.flags.writeable:
-                again.depth_m[:] += 1
-
-
-def _copied(image: RgbdImage) -> RgbdImage:
-    return replace(image, rgb=image.rgb.copy(), depth_m=image.depth_m.copy())
+            for name, channel in again.channels.items():
+                copy = before.channels[name]
+                assert np.array_equal(channel, copy), f"image {place}: {name} differs when it is loaded again"
+                if channel.flags.writeable:
+                    channel[:] = channel + 1
 
 
 def _check_pixel(dataset: Dataset, known: KnownPixel) -> None:
@@ -192,5 +229,6 @@ def _check_pixel(dataset: Dataset, known: KnownPixel) -> None:
     off = np.abs(rgb - np.array(known.rgb)).max()
     assert off <= known.colour_tolerance, f"{where}: rgb is {tuple(rgb.tolist())}, not {known.rgb}; is it BGR?"
     if known.depth_m is not None:
+        assert image.has_depth_image, f"{where}: there is no depth image, but a depth is known"
         depth_m = float(image.depth_m[known.row, known.column])
         assert np.isclose(depth_m, known.depth_m, rtol=1e-5), f"{where}: depth is {depth_m} m, not {known.depth_m}"

@@ -22,7 +22,7 @@ def targets_of(frame: Frame, usable: Bool) -> Targets:
 def with_last_frame(frame: Frame, last: Tracked, T_cam_world: F64, world: Map, radius_px: float) -> Matches:
     """Search the last frame's points around their predicted projections.
 
-    The pyramid levels to search depend on the direction of travel (ORB-SLAM2).
+    The pyramid levels to search depend on the direction of travel (ORB-SLAM2), where lengths are in metres.
 
     Args:
         frame: The present frame.
@@ -43,9 +43,10 @@ def with_last_frame(frame: Frame, last: Tracked, T_cam_world: F64, world: Map, r
     octave = keypoints.octave[seen]
     travel_m = float((se3.inverse(last.T_world_cam) @ se3.inverse(T_cam_world))[2, 3])
     low, high = octave - 1, octave + 1
-    if travel_m > camera.baseline_m:
+    baseline_m = camera.baseline_m if world.sensor.is_metric else np.inf
+    if travel_m > baseline_m:
         low, high = octave, np.full_like(octave, world.scales.count - 1)
-    elif travel_m < -camera.baseline_m:
+    elif travel_m < -baseline_m:
         low, high = np.zeros_like(octave), octave
     queries = Queries(
         px,

@@ -96,4 +96,5 @@ class KeyframePolicy:
 
 
 def _begins(tracked: Tracked, world: Map) -> bool:
-    return len(world.keyframes) == 0 or tracked.recovery is Recovery.NEW_SUBMAP
+    """Return whether the frame begins a map, or a sub-map."""
+    return world.is_empty or tracked.recovery is Recovery.NEW_SUBMAP or tracked.first_view is not None

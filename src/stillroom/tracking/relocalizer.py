@@ -248,7 +248,7 @@ class Relocalizer:
         if found is None:
             found = self._new_submap(tracked, semantics, world)
         if found is None:
-            return tracked
+            return self._started_again(tracked, semantics, world)
         self._n_in_vain = 0
         return found
 
@@ -293,18 +293,24 @@ class Relocalizer:
         located = self.tracker.locate(tracked.frame, found.T_cam_world, found.point_ids, semantics, world, recovery)
         return None if located.lost else located
 
+    def _started_again(self, tracked: Tracked, semantics: Pending[Semantics], world: Map) -> Tracked:
+        """Return the lost frame; where its map is dropped, as one that may begin another."""
+        submap = int(world.keyframes.submap[tracked.reference_keyframe])
+        if not self.tracker.start.starts_again(submap, world) or not world.is_empty:
+            return tracked
+        return self.tracker.start.start(tracked.frame, semantics, world)
+
     def _new_submap(self, tracked: Tracked, semantics: Pending[Semantics], world: Map) -> Tracked | None:
         """Return the frame as the first of a sub-map, when that is due and it has enough keypoints."""
         if self.config.patience == 0:
             return None
         frame = tracked.frame
-        n_usable = int((frame.is_static & (frame.keypoints.depth_m > 0)).sum())
-        if n_usable < self.tracker.config.min_initial_keypoints:
+        if not self.tracker.start.may_begin(frame):
             return None
         self._n_in_vain += 1
         if self._n_in_vain <= self.config.patience:
             return None
-        started = self.tracker.start(frame, semantics, world)
+        started = self.tracker.start.start(frame, semantics, world)
         if started.state is not TrackingState.OK:
             return None
         return replace(started, recovery=Recovery.NEW_SUBMAP)

@@ -6,7 +6,7 @@ import numpy as np
 
 from stillroom.bounds import bounded
 from stillroom.data.frame import Frame
-from stillroom.data.map import Map, submaps
+from stillroom.data.map import Map
 from stillroom.data.matches import Matches
 from stillroom.data.motion import Motion, Stage
 from stillroom.data.question import Question
@@ -34,6 +34,7 @@ from stillroom.tracking.shutter import (
     expected_velocity,
     turn_rad_s,
 )
+from stillroom.tracking.start import DepthStart, Start
 
 MAX_KEYFRAMES = 80
 _NEIGHBOURS = 10
@@ -151,9 +152,19 @@ class TrackerConfig:
     rolling: RollingShutterConfig = field(default_factory=RollingShutterConfig)
     depth: DepthNoiseConfig = field(default_factory=DepthNoiseConfig)
 
-    def build(self, parts: Parts, sieve: MatchSieve, quick: QuickTracking | None = None) -> "Tracker":
-        """Return a tracker that calls the sieve, and starts from the pose of low-cost tracking where there is one."""
-        return Tracker(self, sieve, quick or NoLowCost(), self._build_fit(parts.camera))
+    def build(
+        self, parts: Parts, sieve: MatchSieve, quick: QuickTracking | None = None, start: Start | None = None
+    ) -> "Tracker":
+        """Return a tracker that calls the sieve.
+
+        Args:
+            parts: The parts.
+            sieve: The sieve.
+            quick: Low-cost tracking, from whose pose it starts; none by default.
+            start: How a map begins; by default with the depth of one frame.
+        """
+        start = start or DepthStart(self.min_initial_keypoints, sieve)
+        return Tracker(self, sieve, quick or NoLowCost(), self._build_fit(parts.camera), start)
 
     def _build_fit(self, camera: Camera) -> PoseFit:
         """Return how poses are found from matches."""
@@ -185,10 +196,18 @@ class _Fix:
 
 
 class Tracker:
-    """Tracks the camera from frame to frame. Called in order, one frame after the other."""
+    """Tracks the camera from frame to frame. Called in order, one frame after the other.
 
-    def __init__(self, config: TrackerConfig, sieve: MatchSieve, quick: QuickTracking, pose: PoseFit) -> None:
+    Attributes:
+        start: How a map begins.
+        pose: How poses are found from matches.
+    """
+
+    def __init__(
+        self, config: TrackerConfig, sieve: MatchSieve, quick: QuickTracking, pose: PoseFit, start: Start
+    ) -> None:
         """Start without earlier frames."""
+        self.start = start
         self.config, self.sieve, self.quick, self.pose = config, sieve, quick, pose
         self._velocity = ConstantVelocity()
         self._last: Tracked | None = None
@@ -203,8 +222,8 @@ class Tracker:
             semantics: What is potentially dynamic in it.
             world: The map.
         """
-        if len(world.keyframes) == 0:
-            return self.start(frame, semantics, world)
+        if world.is_empty:
+            return self.start.start(frame, semantics, world)
         last = self._last_as_known_now(world)
         fix = None
         if last is not None and last.T_world_cam is not None and self._velocity.is_known:
@@ -221,17 +240,6 @@ class Tracker:
             return _lost(frame, self._reference)
         frame = self.pose.at_mid_frame(frame, fix.velocity)
         return self._with_local_map(frame, fix, last.reference_keyframe, semantics, world)
-
-    def start(self, frame: Frame, semantics: Pending[Semantics], world: Map) -> Tracked:
-        """Return the frame as one that begins a map, or a sub-map where there is one, if it has enough keypoints."""
-        nothing = np.full(len(frame), -1, dtype=np.int32)
-        T_world_cam = submaps.origin(world.n_submaps)
-        motion = self.sieve.judge(Question(Stage.LOCAL_MAP, frame, Matches.of(nothing), semantics, T_world_cam, world))
-        started = Tracked(frame, TrackingState.OK, T_world_cam, nothing, motion)
-        usable = started.is_static & (frame.keypoints.depth_m > 0)
-        if usable.sum() < self.config.min_initial_keypoints:
-            return replace(started, state=TrackingState.NOT_INITIALIZED, T_world_cam=None)
-        return started
 
     def locate(
         self,

@@ -11,11 +11,12 @@ from stillroom.config import SlamConfig
 from stillroom.config.kinds import DYNAMICS
 from stillroom.data.dense_cloud import DenseCloud
 from stillroom.data.frame import Frame
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import MonoImage, RgbdImage
 from stillroom.data.map import Map
 from stillroom.data.motion import Motion
 from stillroom.data.question import Question
 from stillroom.data.semantics import Box, Semantics
+from stillroom.data.sensor import Sensor
 from stillroom.datasets.open import open_dataset
 from stillroom.dense.dense_mapper import DenseMapperConfig
 from stillroom.dense.export.mesh import MeshConfig
@@ -122,6 +123,7 @@ def do_everything() -> None:
     """Track the synthetic scene with all parts, and run all operations on its maps."""
     system = track()
     roll()
+    begin_without_depth()
     segment()
     recognise(system)
     reduce_sparsely()
@@ -156,6 +158,14 @@ def roll() -> None:
     for image in islice(images(), N_ROLLED):
         system.process(replace(image, depth_after_s=camera.depth_offset_s))
         disparity_planes(np.full((1, 2), 200.0), image.depth_m, camera.lens, camera.bf, REACH_PX)
+    system.close()
+
+
+def begin_without_depth() -> None:
+    """Track the scene with a single camera."""
+    system = build(SlamConfig(), CAMERA, sensor=Sensor.MONOCULAR)
+    for image in images():
+        system.process(MonoImage(image.timestamp_s, image.rgb, image.index))
     system.close()
 
 

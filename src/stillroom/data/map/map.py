@@ -9,6 +9,7 @@ from stillroom.data.frame import Frame, ScaleLevels
 from stillroom.data.map import links
 from stillroom.data.map.map_lock import MapLock
 from stillroom.data.map.tables import KeyframeTable, KeypointTable, PointTable
+from stillroom.data.sensor import Sensor
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F32, F64, I32, I64, Bool, Ints
 from stillroom.geometry.hamming import words
@@ -147,6 +148,7 @@ class Map:
 
     Attributes:
         scales: The pyramid of the keypoints.
+        sensor: What kind of camera its keyframes are of; lengths are in metres where that is metric.
         keyframes, keypoints, points: The tables; see `tables`.
         covisibility: Which keyframes see the same points.
         lock: Held while a thread reads or changes the map, where others may too.
@@ -155,9 +157,9 @@ class Map:
         loop_edges: Keyframes that closed loops: the one that knew the place, the one that came back.
     """
 
-    def __init__(self, scales: ScaleLevels) -> None:
+    def __init__(self, scales: ScaleLevels, sensor: Sensor = Sensor.RGBD) -> None:
         """Start empty."""
-        self.scales = scales
+        self.scales, self.sensor = scales, sensor
         self.keyframes = KeyframeTable(capacity=64)
         self.keypoints = KeypointTable(capacity=65536)
         self.points = PointTable(capacity=16384)
@@ -255,16 +257,22 @@ class Map:
         n = keep_others(point_ids, excluded, *self._marks.fresh(len(self.points)), kept)
         return kept[:n]
 
+    @property
+    def is_empty(self) -> bool:
+        """Whether there is no keyframe: none was made yet, or what was begun was dropped."""
+        return not self.keyframes.is_alive.any()
+
     def alive_keyframes(self) -> I64:
         """Return the ids of the keyframes that were not culled, oldest first."""
         return np.flatnonzero(self.keyframes.is_alive)
 
     def remove_keyframe(self, keyframe: int) -> None:
-        """Cull a keyframe: its observations are removed; frames that refer to it keep a pose by its parent."""
+        """Cull a keyframe: its observations are removed; frames that refer to it keep a pose by its parent, if any."""
         parent = int(self.keyframes.parent[keyframe])
-        T_world_parent = self.keyframe_pose(parent)
-        T_world_cam = self.keyframes.T_world_cam[keyframe]
-        self.keyframes.T_parent_cam[keyframe] = se3.inverse(T_world_parent) @ T_world_cam
+        if parent >= 0:
+            T_world_parent = self.keyframe_pose(parent)
+            T_world_cam = self.keyframes.T_world_cam[keyframe]
+            self.keyframes.T_parent_cam[keyframe] = se3.inverse(T_world_parent) @ T_world_cam
         self.keyframes.is_alive[keyframe] = False
         rows = self.rows(keyframe)
         self.remove_observations(np.arange(rows.start, rows.stop))
@@ -274,7 +282,8 @@ class Map:
         """Return `T_world_cam` (4, 4) of a keyframe as known now, alive or culled."""
         T_kept_cam = np.eye(4)
         with self.lock:
-            while not self.keyframes.is_alive[keyframe]:
+            # The first of a sub-map that was dropped has no parent.
+            while not self.keyframes.is_alive[keyframe] and self.keyframes.parent[keyframe] >= 0:
                 T_kept_cam = self.keyframes.T_parent_cam[keyframe] @ T_kept_cam
                 keyframe = int(self.keyframes.parent[keyframe])
             pose: F64 = self.keyframes.T_world_cam[keyframe] @ T_kept_cam

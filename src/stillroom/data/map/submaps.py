@@ -12,6 +12,8 @@ from stillroom.geometry.arrays import F64, I64, Bool, Floats, Ints
 
 SPACING_M = 500.0
 _IN_A_ROW = 32
+NONE = -1
+"""The sub-map of what is in no map."""
 
 
 def origin(submap: int) -> F64:
@@ -33,7 +35,7 @@ def unjoined(world: Map) -> I64:
 
 
 def main(world: Map, since: int = 0) -> int:
-    """Return the sub-map with most keyframes, of equals the oldest: the one of a run's trajectory.
+    """Return the sub-map with most keyframes, of equals the oldest: the one of a run's trajectory; NONE without any.
 
     Args:
         world: The map.
@@ -42,7 +44,16 @@ def main(world: Map, since: int = 0) -> int:
     alive = world.keyframes.is_alive.copy()
     if alive[since:].any():
         alive[:since] = False
-    return int(np.argmax(np.bincount(world.keyframes.submap[alive], minlength=1)))
+    if not alive.any():
+        return NONE
+    return int(np.argmax(np.bincount(world.keyframes.submap[alive])))
+
+
+def discard(submap: int, world: Map) -> None:
+    """Remove a sub-map with its keyframes and points; no other has its id."""
+    table = world.keyframes
+    for keyframe in np.flatnonzero(table.is_alive & (table.submap == submap))[::-1]:
+        world.remove_keyframe(int(keyframe))
 
 
 def of_points(point_ids: Ints, world: Map) -> Ints:

@@ -8,7 +8,7 @@ import numpy as np
 from stillroom.bounds import bounded, check
 from stillroom.compiled import njit
 from stillroom.data.frame import Frame
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image
 from stillroom.data.motion import Motion
 from stillroom.data.question import Question
 from stillroom.data.semantics import Semantics
@@ -92,7 +92,7 @@ class CompensatedHomographySieve:
         self._past = Past(config.earlier_s)
         self._ants = config.ants.build(seed)
         self._asked: Frame | None = None
-        self._remembered: RgbdImage | None = None
+        self._remembered: Image | None = None
         self.findings: Findings | None = None
         self._said: tuple[Semantics, Motion] | None = None
 
@@ -176,7 +176,7 @@ class CompensatedHomographySieve:
             return Motion(is_static, moving)
         is_static[findings.candidates[findings.found.is_dynamic]] = False
         if findings.found.hulls:
-            geometry = self._filled(findings, frame.image.depth_m)
+            geometry = self._filled(findings, frame.image.known_depth_m)
             # What could not be tested gets the label of its community.
             lone = values_at(geometry, findings.test.raw_px) & (findings.verdicts == UNKNOWN)
             is_static[findings.candidates[lone]] = False

@@ -345,8 +345,11 @@ class PlaceMemory:
         """Add a keyframe of the map, and drop those that the map has culled since."""
         with self.world.lock:
             self.forget_culled()
-            if self.world.keyframes.is_alive[keyframe]:
-                self.index.add(keyframe, self.bag_of_keyframe(keyframe))
+            # The map of a single camera begins with two keyframes: the first is the parent of the one that is told of.
+            parent = int(self.world.keyframes.parent[keyframe])
+            for one in (keyframe,) if parent < 0 or parent in self.index else (parent, keyframe):
+                if self.world.keyframes.is_alive[one]:
+                    self.index.add(one, self.bag_of_keyframe(one))
             self._since_grown += 1
             if 0 < self.config.grow_every <= self._since_grown:
                 self.grow()

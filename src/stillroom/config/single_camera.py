@@ -1,0 +1,26 @@
+"""What of a configuration is otherwise with a single camera."""
+
+from dataclasses import replace
+
+from stillroom.config.tree import SlamConfig
+
+
+def for_single_camera(config: SlamConfig) -> SlamConfig:
+    """Return a config whose keyframes and points come as often as depth from motion needs them.
+
+    `monocular` holds the numbers; those of `keyframes`, `mapping` and `recovery` that they replace are for cameras that
+    measure depth.
+    """
+    own = config.monocular
+    return replace(
+        config,
+        keyframes=replace(config.keyframes, share=own.share, min_gap=own.min_gap),
+        mapping=replace(
+            config.mapping,
+            n_neighbours=own.n_neighbours,
+            n_fused=own.n_neighbours,
+            trial_keyframes=own.trial_keyframes,
+            min_observations=own.min_observations,
+        ),
+        recovery=replace(config.recovery, patience=own.patience),
+    )

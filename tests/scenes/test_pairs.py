@@ -92,7 +92,7 @@ def test_the_sensor_asked_for_makes_a_pair_or_drops_the_depth() -> None:
     ("options", "message"),
     [
         ("stereo=twisted", "stereo is 'twisted'; .*there are none, rectified, turned"),
-        ("stereo=rectified,readout_ms=20", "readout_ms is for the RGB-D camera"),
+        ("stereo=rectified,readout_ms=20", "are for the RGB-D camera"),
     ],
 )
 def test_what_cannot_be_is_refused(options: str, message: str) -> None:

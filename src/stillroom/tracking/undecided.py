@@ -59,6 +59,8 @@ class Undecided:
         matches, kp = Matches.of(tracked.point_ids), as_taken(tracked.frame.keypoints, tracked.frame.camera)
         p_static = tracked.motion.p_static
         likely = None if p_static is None else p_static[matches.keypoint]
+        if self._frames and self._frames[-1].index == tracked.frame.image.index:
+            self._frames.pop()  # found another time
         observed_px = observations.observed_px(kp.px[matches.keypoint], kp.right_px[matches.keypoint])
         self._frames.append(
             _Frame(tracked.frame.image.index, tracked.T_world_cam, matches.point_id, observed_px, weights, likely)

@@ -156,6 +156,14 @@ def test_frames_that_do_not_follow_each_other_say_nothing() -> None:
     assert check.found is None
 
 
+def test_a_frame_that_is_found_twice_counts_once() -> None:
+    check = ReadoutCheck(FILE_S)
+    for k in range(12):
+        check.add(rows_at(k / 60.0, where(k // 2 * 2 / 60.0)) if k % 2 == 0 else rows_at((k - 1) / 60.0, where(0.5)))
+    assert check.found is not None
+    assert check.found.n_frames == 4
+
+
 def test_a_camera_at_rest_is_taken_to_have_what_its_file_says() -> None:
     check = ReadoutCheck(FILE_S)
     for k in range(50):

@@ -105,7 +105,10 @@ class ReadoutCheck:
         return RowsFound(self._file_s, *self._found, self._n_frames, self.as_one, self._n_as_one)
 
     def add(self, rows: Rows) -> bool:
-        """Take the next frame; return whether the verdict, `as_one`, has changed."""
+        """Take the next frame, or the last one found again; return whether the verdict, `as_one`, has changed."""
+        if self._last and rows.time_s <= self._last[-1].time_s:
+            self._last[-1] = rows
+            return False
         self._n_as_one += self.as_one
         self._last.append(rows)
         velocity = _velocity(self._last)

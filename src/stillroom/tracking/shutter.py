@@ -263,7 +263,9 @@ class RollingShutter:
             return tracked
         was_as_one, matches = check.as_one, Matches.of(tracked.point_ids)
         check.add(_rows_of(tracked, matches, world, self._limits))
-        if check.is_settled or was_as_one:
+        if was_as_one:
+            return tracked
+        if check.is_settled:
             self._undecided.clear()
             return tracked
         taken = replace(frame, keypoints=as_taken(frame.keypoints, frame.camera), velocity=None)

@@ -57,6 +57,8 @@ class Undecided:
         assert tracked.T_world_cam is not None
         p_static = tracked.motion.p_static
         likely = None if p_static is None else p_static[matches.keypoint]
+        if self._frames and self._frames[-1].index == tracked.frame.image.index:
+            self._frames.pop()  # found another time
         self._frames.append(_Frame(tracked.frame.image.index, tracked.T_world_cam, matches.point_id, terms, likely))
         del self._frames[:-MOST_FRAMES]
 

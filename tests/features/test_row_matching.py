@@ -123,10 +123,12 @@ def test_patches_that_would_leave_the_right_image_find_nothing() -> None:
     left = textured(8)
     at = np.array([[100, 60], [100, 60], [100, 60], [100, 60]], np.int32)
     found = slide(left, left, at, np.array([9, 10, WIDTH - 11, WIDTH - 10], np.int32))
-    np.testing.assert_array_equal(np.isnan(found.x_px) & np.isinf(found.distance)[()], np.isnan(found.x_px))
     assert np.isnan(found.x_px[[0, 3]]).all()
-    near = slide(left, np.roll(left, -90, axis=1), at[:1], np.array([10], np.int32))
-    assert near.x_px[0] == pytest.approx(10.0, abs=0.01), "the outermost place that can be searched"
+    assert np.isinf(found.distance[[0, 3]]).all()
+    for turned, outermost in ((-90, 10), (WIDTH - 11 - 100, WIDTH - 11)):
+        there = slide(left, np.roll(left, turned, axis=1), at[:1], np.array([outermost], np.int32))
+        assert np.rint(there.x_px[0]) == outermost
+        assert there.distance[0] == 0.0
 
 
 def test_a_flat_patch_is_not_certain() -> None:

@@ -313,7 +313,7 @@ def build(
     """
     check(config)
     config = in_pixels_of(config, camera.pixel_scale)
-    clock, world = clock or StageClock(), world or Map(config.features.scales(camera), sensor)
+    clock, world = clock or StageClock(), world or Map(config.features.scales(camera, sensor), sensor)
     parts = Parts(camera, world, config.seed, clock, schedule or InOrder(), sensor)
     sieve = timed_part(Asking(config.dynamics.build(parts), world), clock, judge="dynamics", remember="memory")
     tracker = config.tracking.build(parts, sieve, config.low_cost.build(parts, sieve))
@@ -352,7 +352,7 @@ def _keypoint_depth(config: SlamConfig, parts: Parts) -> KeypointDepth:
         case Sensor.RGBD:
             return config.features.registered_depth(parts.camera)
         case Sensor.STEREO:
-            return config.stereo.build(parts)
+            return config.stereo.build(parts, config.features)
         case Sensor.MONOCULAR:
             return NoDepth()
 
@@ -371,7 +371,7 @@ def segmenter_of(
     Raises:
         ConfigError, WeightsError: As `build`.
     """
-    world = Map(config.features.scales(camera), sensor)
+    world = Map(config.features.scales(camera, sensor), sensor)
     parts = Parts(camera, world, config.seed, schedule=schedule or InOrder(), sensor=sensor)
     return in_pixels_of(config.semantics, camera.pixel_scale).build(parts)
 

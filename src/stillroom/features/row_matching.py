@@ -47,7 +47,8 @@ def search_rows(
         Index of the right keypoint (N,), −1 where there is none. Several left ones may have the same, as in ORB-SLAM2.
     """
     start, order = _by_rows(right.px, right.octave, BAND_LEVEL_PX * scale_factors, height)
-    return _search_rows(left, right, start, order, max_disparity_px, max_bits)
+    found: I32 = _search_rows(left, right, start, order, max_disparity_px, max_bits)
+    return found
 
 
 @njit(nogil=True, cache=True)
@@ -156,7 +157,7 @@ def _distance(patch: I32, other: U8) -> int:
     for y in range(patch.shape[0]):
         for x in range(patch.shape[1]):
             total += abs(size * (np.int32(other[y, x]) - patch[y, x]) - offset)
-    return total
+    return int(total)
 
 
 def refine(

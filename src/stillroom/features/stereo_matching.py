@@ -1,17 +1,19 @@
 """Depth of keypoints from a rectified pair of images (ORB-SLAM2: ComputeStereoMatches)."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from stillroom.bounds import bounded
 from stillroom.data.frame import Keypoints
 from stillroom.data.image import Image, StereoImage
+from stillroom.data.sensor import Sensor
+from stillroom.features.dense_stereo import SemiGlobal, SemiGlobalConfig
 from stillroom.features.keypoint_depth import NoDepth
-from stillroom.features.orb import OrbConfig, OrbExtractor
+from stillroom.features.orb import OrbConfig
 from stillroom.features.row_matching import RowKeypoints, agreeing, refine, search_rows
-from stillroom.geometry.arrays import F32, U8
+from stillroom.geometry.arrays import F64, I64, U8
 from stillroom.geometry.camera import Camera
 from stillroom.geometry.hamming import words
 from stillroom.protocols import Parts
@@ -34,6 +36,7 @@ class StereoConfig:
         right_share: Keypoints of the right image for each of the left one.
         dense: How a depth image is made of the pair, for the parts that need one: "none", or "sgbm" for OpenCV's
             semi-global matching.
+        sgbm: How that is done.
     """
 
     max_bits: int = bounded(75, least=1, most=257)
@@ -41,10 +44,16 @@ class StereoConfig:
     max_distance: float = bounded(2.1, above=0)
     right_share: float = bounded(2.0, above=0)
     dense: str = bounded("none", one_of=("none", "sgbm"))
+    sgbm: SemiGlobalConfig = field(default_factory=SemiGlobalConfig)
 
     def build(self, parts: Parts, features: OrbConfig) -> "StereoMatcher":
         """Return the matcher of a camera's pairs, whose left keypoints are found as `features` says."""
         return StereoMatcher(self, features, parts)
+
+    def build_dense(self, parts: Parts) -> SemiGlobal | None:
+        """Return what makes depth images of a camera's pairs; None where it has no pairs, or none is wanted."""
+        wanted = self.dense == "sgbm" and parts.sensor is Sensor.STEREO
+        return self.sgbm.build(parts.camera) if wanted else None
 
 
 class StereoMatcher:
@@ -83,7 +92,7 @@ class StereoMatcher:
         return with_disparity(keypoints, matched[good], disparity_px[good], camera)
 
 
-def with_disparity(keypoints: Keypoints, found: np.ndarray, disparity_px: np.ndarray, camera: Camera) -> Keypoints:
+def with_disparity(keypoints: Keypoints, found: I64, disparity_px: F64, camera: Camera) -> Keypoints:
     """Return keypoints with depth and right coordinate of those (K,) of which the disparity (K,) [px] is known."""
     depth_m, right_px = np.zeros(len(keypoints), np.float32), np.full(len(keypoints), -1.0, np.float32)
     disparity_px = np.maximum(disparity_px, LEAST_DISPARITY_PX)

@@ -17,7 +17,7 @@ from stillroom.data.image import Image
 from stillroom.data.map import Map
 from stillroom.data.result import FrameResult, Tracked, TrackingState
 from stillroom.data.semantics import Semantics
-from stillroom.data.sensor import Sensor
+from stillroom.data.sensor import Sensor, sensor_called
 from stillroom.data.trajectory import Trajectory
 from stillroom.errors import ConfigError, FrameError, MapError, StillroomError
 from stillroom.evaluation.timing import FRAME, StageClock
@@ -105,7 +105,7 @@ class Slam:
         self._is_live = isinstance(schedule, LiveSchedule)
         config = _configured(method, settings, seed)
         self.config = config if file is None else file.fitting(config)
-        self.camera, self.sensor, self.clock = camera, _sensor(sensor), StageClock()
+        self.camera, self.sensor, self.clock = camera, sensor_called(sensor), StageClock()
         self.doubts: list[Doubt] = []
         self._depths, self._times = DepthRange(camera.depth_factor), ImageTimes()
         self._sequence, self._observers, self._newest = sequence, list(observers), _Newest()
@@ -348,13 +348,6 @@ def _configured(method: str | SlamConfig, settings: Iterable[str], seed: int | N
 
 def _schedule(asked: str | Schedule) -> Schedule:
     return schedule_of(asked) if isinstance(asked, str) else asked
-
-
-def _sensor(asked: str | Sensor) -> Sensor:
-    try:
-        return Sensor(asked)
-    except ValueError:
-        raise ConfigError(f"sensor is '{asked}'; it must be one of {', '.join(Sensor)}") from None
 
 
 def _map_use(asked: MapUse | str) -> MapUse:

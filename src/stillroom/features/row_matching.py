@@ -190,8 +190,8 @@ def refine(
 
 
 def agreeing(distance: F64, times_median: float) -> Bool:
-    """Return which patch distances (K,) are below so many times their median; those that are not finite never are."""
+    """Return which patch distances (K,) are at most so many times their median; those that are not finite never are."""
     finite: Bool = np.isfinite(distance)
     if not finite.any():
         return finite
-    return finite & (distance < times_median * np.median(distance[finite]))
+    return finite & (distance <= times_median * np.median(distance[finite]))

@@ -19,7 +19,7 @@ _PENALTIES = 2, 8
 OpenCV's example has: with that, surfaces that turn away from the camera come in steps."""
 _LEFT_RIGHT_PX = 1
 """By how much disparities found from the left and from the right image may differ."""
-_SPECKLE_PX, _SPECKLE_STEP_PX = 50, 2
+_SPECKLE_PX, _SPECKLE_STEP_PX = 200, 1
 """Patches of fewer pixels, bounded by steps of more than so many pixels of disparity, have no depth."""
 
 
@@ -36,7 +36,7 @@ class SemiGlobalConfig:
 
     shrink: int = bounded(2, least=1)
     nearest: float = bounded(5.0, above=0)
-    uniqueness: int = bounded(10, least=0)
+    uniqueness: int = bounded(15, least=0)
 
     def build(self, camera: Camera) -> "SemiGlobal":
         """Return what makes depth images of a camera's pairs."""

@@ -112,11 +112,11 @@ def _open_pair(folder: Path, body: Path, name: str, camera: str | None) -> Stere
             f"--camera {camera}: describes one camera, and {name} has a pair, with a {SENSOR_NAME} each; "
             "leave it out, or give euroc for the built-in rig"
         )
+    lacking = [each for each in (LEFT, RIGHT) if not (body / each / SENSOR_NAME).is_file()]
+    if camera is None and len(lacking) == 1:
+        raise CalibrationError(f"{body / lacking[0] / SENSOR_NAME}: no such file, and the other camera has one")
     left, source = _mounted(body, LEFT, EUROC_LEFT, camera)
-    right, right_source = _mounted(body, RIGHT, EUROC_RIGHT, camera)
-    if (SENSOR_NAME in source) != (SENSOR_NAME in right_source):
-        lacking = RIGHT if SENSOR_NAME in source else LEFT
-        raise CalibrationError(f"{body / lacking / SENSOR_NAME}: no such file, and the other camera has one")
+    right, _ = _mounted(body, RIGHT, EUROC_RIGHT, camera)
     rectification = _rectification(left, right)
     left_files, right_files = read_stamps(body / LEFT / LIST_NAME), read_stamps(body / RIGHT / LIST_NAME)
     both = [stamp for stamp in left_files if stamp in right_files]

@@ -22,12 +22,13 @@ def disparities_px(image: StereoImage) -> F64:
     start: Any = cv2.goodFeaturesToTrack(image.gray, N_CORNERS, QUALITY, APART_PX)
     if start is None:
         return np.zeros((0, 2))
-    nowhere, window_px = np.zeros_like(start), (WINDOW_PX, WINDOW_PX)
+    window_px = (WINDOW_PX, WINDOW_PX)
+    left, right = image.gray, image.right
     end, found, _ = cv2.calcOpticalFlowPyrLK(
-        image.gray, image.right, start, nowhere, winSize=window_px, maxLevel=LEVELS
+        left, right, start, np.empty_like(start), winSize=window_px, maxLevel=LEVELS
     )
     back, is_back, _ = cv2.calcOpticalFlowPyrLK(
-        image.right, image.gray, end, nowhere, winSize=window_px, maxLevel=LEVELS
+        right, left, end, np.empty_like(start), winSize=window_px, maxLevel=LEVELS
     )
     returned = np.hypot(*(back - start)[:, 0].T) <= MOST_RETURN_PX
     good = (found.ravel() == 1) & (is_back.ravel() == 1) & returned

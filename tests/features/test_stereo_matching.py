@@ -51,7 +51,6 @@ def pair(noise: float = 2.0) -> StereoImage:
     return StereoImage(0.0, np.repeat(taken[0][..., None], 3, axis=2), taken[1], 0)
 
 
-
 def near_an_edge(px: np.ndarray, reach_px: float) -> np.ndarray:
     """Which points (N, 2) see both surfaces within a reach."""
     x, y = px.T

@@ -116,9 +116,8 @@ def run(
 
     Or a camera that is plugged in, until it is stopped; 'stillroom record' keeps what it sees. Writes trajectory,
     figures, pictures and report.html into a folder in results/; Ctrl-C ends a run early and keeps the results so far.
-    Exit code 3 says that nothing was tracked.
-
-    An archive is unpacked once into the user's cache and stays there until you delete it.
+    Exit code 3 says that nothing was tracked. An archive is unpacked once into the user's cache and stays there until
+    you delete it.
 
         stillroom run rgbd_bonn_crowd --method oc-slam
         stillroom run rgbd_bonn_crowd --frames 200: --map room.stillmap --localize

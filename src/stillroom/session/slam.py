@@ -105,10 +105,8 @@ class Slam:
             raise ConfigError(f"map_use is '{map_use}', which needs a map: name its file")
         schedule = _schedule(schedule)
         self._is_live = isinstance(schedule, LiveSchedule)
-        config, self.left_out = fit_to_sensor(_configured(method, settings, seed), sensor_called(sensor))
+        config, self.left_out = _fitted(_configured(method, settings, seed), sensor_called(sensor))
         self.config = config if file is None else file.fitting(config)
-        for part in self.left_out:
-            log.warning("%s with a %s camera: left out: %s", config.method, sensor_called(sensor).words, part)
         self.camera, self.sensor, self.clock = camera, sensor_called(sensor), StageClock()
         self.doubts: list[Doubt] = []
         self._depths, self._times = DepthRange(camera.depth_factor), ImageTimes()
@@ -353,6 +351,14 @@ def _configured(method: str | SlamConfig, settings: Iterable[str], seed: int | N
         return configure(method, overrides=settings, seed=seed)
     config = with_overrides(method, settings)
     return config if seed is None else replace(config, seed=seed)
+
+
+def _fitted(config: SlamConfig, sensor: Sensor) -> tuple[SlamConfig, tuple[str, ...]]:
+    """Return what of a config works with a sensor, and what was left out of it, which is logged."""
+    fitted, left_out = fit_to_sensor(config, sensor)
+    for part in left_out:
+        log.warning("%s with %s images: left out: %s", config.method, sensor.words, part)
+    return fitted, left_out
 
 
 def _schedule(asked: str | Schedule) -> Schedule:

@@ -11,11 +11,12 @@ from stillroom.config import SlamConfig
 from stillroom.config.kinds import DYNAMICS
 from stillroom.data.dense_cloud import DenseCloud
 from stillroom.data.frame import Frame
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import RgbdImage, StereoImage
 from stillroom.data.map import Map
 from stillroom.data.motion import Motion
 from stillroom.data.question import Question
 from stillroom.data.semantics import Box, Semantics
+from stillroom.data.sensor import Sensor
 from stillroom.datasets.open import open_dataset
 from stillroom.dense.dense_mapper import DenseMapperConfig
 from stillroom.dense.export.mesh import MeshConfig
@@ -120,6 +121,7 @@ def do_everything() -> None:
     """Track the synthetic scene with all parts, and run all operations on its maps."""
     system = track()
     roll()
+    pair()
     segment()
     recognise(system)
     reduce_sparsely()
@@ -153,6 +155,15 @@ def roll() -> None:
     for image in islice(images(), N_ROLLED):
         system.process(image)
     system.close()
+
+
+def pair() -> None:
+    """Find the depth of keypoints in a pair of images."""
+    config, image = SlamConfig(), next(images())
+    scales = config.features.scales(CAMERA, Sensor.STEREO)
+    parts = Parts(CAMERA, Map(scales, Sensor.STEREO), sensor=Sensor.STEREO)
+    extractor = config.features.build(parts, config.stereo.build(parts, config.features))
+    extractor.extract(StereoImage(image.timestamp_s, image.rgb, np.roll(image.gray, -STEP_PX, axis=1)))
 
 
 def segment() -> None:

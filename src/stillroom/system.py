@@ -12,7 +12,7 @@ from stillroom.config import SlamConfig
 from stillroom.config.single_camera import for_single_camera
 from stillroom.data.dense_cloud import DenseCloud
 from stillroom.data.frame import Frame
-from stillroom.data.image import Image
+from stillroom.data.image import Image, StereoImage
 from stillroom.data.map import Map, submaps
 from stillroom.data.question import Perceived
 from stillroom.data.result import FrameResult, FrameSummary, Recovery, Tracked
@@ -25,7 +25,7 @@ from stillroom.features.keypoint_depth import KeypointDepth, NoDepth
 from stillroom.features.orb import UntilMap
 from stillroom.features.places.place_index import PlaceMemory
 from stillroom.geometry import se3
-from stillroom.geometry.arrays import F64
+from stillroom.geometry.arrays import F32, F64
 from stillroom.geometry.camera import Camera
 from stillroom.loops.joining import SubmapJoiner
 from stillroom.loops.loop_closer import LoopClosing
@@ -62,6 +62,7 @@ class System:
     schedule: Schedule
     segmenter: Segmenter
     see: Callable[[Image], Semantics] | None
+    dense_stereo: Callable[[Image], F32] | None
     clusterer: Clusterer
     features: FeatureExtractor
     keypoint_sieve: KeypointSieve
@@ -83,11 +84,11 @@ class System:
     results: list[FrameSummary] = field(default_factory=list)
     first_keyframe: int = 0
     n_repeated: int = 0
-    _ahead: deque[tuple[Image, Pending[Frame] | None, Perceived]] = field(default_factory=deque)
+    _ahead: deque[tuple[Image, Image, Pending[Frame] | None, Perceived]] = field(default_factory=deque)
 
     def process(self, image: Image) -> FrameResult:
         """Track one image; images come in order of time."""
-        extracted, semantics = self._begun(image)
+        image, extracted, semantics = self._begun(image)
         with self.map.lock.frame():
             tracked = self.flow.follow(image, semantics, self.map)  # between keyframes, where the method wants it
             if tracked is None:
@@ -112,13 +113,14 @@ class System:
         Workers do it while the image before is tracked. Images that are begun must be processed, in the same order; one
         that was begun already is not begun again.
         """
-        if any(begun is image for begun, _, _ in self._ahead):
+        if any(begun is image for begun, *_ in self._ahead):
             return
         submit, waiting = self.schedule.submit, self.map.lock.let_go
-        found = submit(Worker.SEMANTICS, self.segmenter, image)  # potentially dynamic; awaited by its readers
-        clustered = submit(Worker.CLUSTERS, self.clusterer, image, found)  # the same, with clusters of the depth cloud
-        extracted = submit(Worker.FEATURES, self.features.extract, image) if self.flow.extracts_all else None
-        self._ahead.append((image, extracted, Perceived(found, clustered, waiting)))
+        seen = self._with_depth_image(image)
+        found = submit(Worker.SEMANTICS, self.segmenter, seen)  # potentially dynamic; awaited by its readers
+        clustered = submit(Worker.CLUSTERS, self.clusterer, seen, found)  # the same, with clusters of the depth cloud
+        extracted = submit(Worker.FEATURES, self.features.extract, seen) if self.flow.extracts_all else None
+        self._ahead.append((image, seen, extracted, Perceived(found, clustered, waiting)))
 
     def repeat(self, result: FrameResult, image: Image) -> FrameResult:
         """Give an image that shows exactly what the one before it did that one's pose, and count it.
@@ -194,13 +196,20 @@ class System:
             self.schedule.close()
         self.results = self.last_look.again(self.results)
 
-    def _begun(self, image: Image) -> tuple[Pending[Frame] | None, Perceived]:
-        """Return what workers do with an image; those begun before it are dropped."""
+    def _begun(self, image: Image) -> tuple[Image, Pending[Frame] | None, Perceived]:
+        """Return an image as parts see it, and what workers do with it; those begun before it are dropped."""
         self.begin(image)
         while True:
-            begun, extracted, semantics = self._ahead.popleft()
+            begun, seen, extracted, semantics = self._ahead.popleft()
             if begun is image:
-                return extracted, semantics
+                return seen, extracted, semantics
+
+    def _with_depth_image(self, image: Image) -> Image:
+        """Return a pair with the depth image that is made of it, where one is wanted; else the image."""
+        if self.dense_stereo is None or not isinstance(image, StereoImage):
+            return image
+        made = self.schedule.submit(Worker.CLUSTERS, self.dense_stereo, image)  # awaited by its readers
+        return replace(image, depth_of_pair=made.result)
 
     def _extracted(self, image: Image, begun: Pending[Frame] | None) -> Frame:
         """Return the keypoints of an image; those that no worker has begun are awaited by tracking at once."""
@@ -333,18 +342,20 @@ def build(
     """
     check(config)
     config = in_pixels_of(config if sensor.is_metric else for_single_camera(config), camera.pixel_scale)
-    clock, world = clock or StageClock(), world or Map(config.features.scales(camera), sensor)
+    clock, world = clock or StageClock(), world or Map(config.features.scales(camera, sensor), sensor)
     parts = Parts(camera, world, config.seed, clock, schedule or InOrder(), sensor)
     sieve = timed_part(Asking(config.dynamics.build(parts), world), clock, judge="dynamics", remember="memory")
     tracker = config.tracking.build(parts, sieve, config.low_cost.build(parts, sieve), _start(config, parts, sieve))
     policy, keypoints, dense = config.keyframes.build(parts), config.keypoints.build(parts), config.dense.build(parts)
     segmenter, places = segmenter or config.semantics.build(parts), config.places.build(parts)
     places.remember_all()
+    dense_stereo = config.stereo.build_dense(parts)
     refresh = partial(parts.schedule.submit, Worker.DENSE, dense.refresh)
     return System(
         schedule=parts.schedule,
         segmenter=clock.timed("semantics", segmenter),
         see=clock.timed("semantics", segmenter.see) if isinstance(segmenter, KeyframeSegmenter) else None,
+        dense_stereo=clock.timed("depth image", dense_stereo) if dense_stereo else None,
         clusterer=clock.timed("clusters", config.clusters.build(parts)),
         features=timed_part(_features(config, parts), clock, extract="features"),
         keypoint_sieve=keypoints,
@@ -389,7 +400,7 @@ def _keypoint_depth(config: SlamConfig, parts: Parts) -> KeypointDepth:
         case Sensor.RGBD:
             return config.features.registered_depth(parts.camera)
         case Sensor.STEREO:
-            return config.stereo.build(parts)
+            return config.stereo.build(parts, config.features)
         case Sensor.MONOCULAR:
             return NoDepth()
 
@@ -408,7 +419,7 @@ def segmenter_of(
     Raises:
         ConfigError, WeightsError: As `build`.
     """
-    world = Map(config.features.scales(camera), sensor)
+    world = Map(config.features.scales(camera, sensor), sensor)
     parts = Parts(camera, world, config.seed, schedule=schedule or InOrder(), sensor=sensor)
     return in_pixels_of(config.semantics, camera.pixel_scale).build(parts)
 

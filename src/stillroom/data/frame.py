@@ -6,6 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from stillroom.data.image import Image
+from stillroom.data.sensor import Sensor
 from stillroom.geometry.arrays import F32, F64, I32, U8, Bool
 from stillroom.geometry.camera import Camera
 
@@ -44,8 +45,8 @@ class ScaleLevels:
     Attributes:
         factor: Ratio of neighbouring levels.
         count: Number of levels.
-        finest_px: Size of a pixel of the finest level in the image [px]: `Camera.pixel_scale`. Windows, tolerances and
-            the noise of keypoints are in pixels of levels, so all of them grow with the image.
+        finest_px: Size of a pixel of the finest level in the image [px]; see `finest_px`. Windows, tolerances and the
+            noise of keypoints are in pixels of levels, so all of them grow with it.
     """
 
     factor: float = 1.2
@@ -61,6 +62,22 @@ class ScaleLevels:
     def inverse_variances(self) -> F64:
         """Weight (L,) [1/px²] of a measurement on each level: its noise is a pixel of the level (ORB-SLAM2)."""
         return np.asarray(self.factors**-2.0)
+
+
+STEREO_SIDE_PX = 1280
+"""Longest side of the finest level of a stereo camera's pyramid [px]."""
+
+
+def finest_px(camera: Camera, sensor: Sensor) -> float:
+    """Return the size of a pixel of a pyramid's finest level in a camera's images [px].
+
+    The finest level is 640 pixels long. Where depth comes from a pair of images, its error is that of the corners in
+    them: the level is then as long as the image, from 640 to 1280 pixels.
+    """
+    if sensor is not Sensor.STEREO:
+        return camera.pixel_scale
+    longest_px = max(camera.width, camera.height)
+    return min(camera.pixel_scale, max(1.0, longest_px / STEREO_SIDE_PX))
 
 
 @dataclass(frozen=True)

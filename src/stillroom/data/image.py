@@ -1,6 +1,7 @@
 """One image as a sequence delivers it: RGB-D, a stereo pair, or a single image."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import ClassVar, Self
@@ -159,8 +160,8 @@ class StereoImage(Image):
     Attributes:
         timestamp_s, rgb, index, name, truth: See `Image`; `rgb` is the rectified left image, free of distortion.
         right: Brightness (H, W) uint8 of the rectified right image, taken at the same moment.
-        dense_depth_m: Depth (H, W) float32 [m] on the left pixels, 0 where unknown, where one was made of the pair
-            (`stereo.dense`); None otherwise.
+        depth_of_pair: Waits for the depth image (H, W) float32 [m] on the left pixels, 0 where unknown, where one is
+            made of the pair (`stereo.dense`); None otherwise.
     """
 
     sensor = Sensor.STEREO
@@ -171,23 +172,23 @@ class StereoImage(Image):
     index: int = NO_INDEX
     name: str = ""
     truth: Semantics | None = field(default=None, repr=False)
-    dense_depth_m: F32 | None = field(default=None, repr=False)
+    depth_of_pair: Callable[[], F32] | None = field(default=None, repr=False, compare=False)
 
     @property
     def has_depth_image(self) -> bool:
-        """Whether a depth image was made of the pair."""
-        return self.dense_depth_m is not None
+        """Whether a depth image is made of the pair."""
+        return self.depth_of_pair is not None
 
     @cached_property
     def depth_m(self) -> F32:
-        """The depth image that was made of the pair (H, W) float32 [m].
+        """The depth image that is made of the pair (H, W) float32 [m]; waits for it.
 
         Raises:
-            TypeError: None was made.
+            TypeError: None is made.
         """
-        if self.dense_depth_m is None:
-            raise TypeError("no depth image was made of this stereo pair; what needs one must not be built for it")
-        return self.dense_depth_m
+        if self.depth_of_pair is None:
+            raise TypeError("no depth image is made of this stereo pair; what needs one must not be built for it")
+        return self.depth_of_pair()
 
     @property
     def channels(self) -> dict[str, U8 | F32]:
@@ -200,8 +201,7 @@ class StereoImage(Image):
 
     def without_depth(self) -> Self:
         """Return the same left image with a black right one."""
-        unknown_m = None if self.dense_depth_m is None else np.zeros_like(self.dense_depth_m)
-        return replace(self, right=np.zeros_like(self.right), dense_depth_m=unknown_m)
+        return replace(self, right=np.zeros_like(self.right), depth_of_pair=None)
 
     def black(self) -> Self:
         """Return two black images."""

@@ -8,9 +8,10 @@ import numpy as np
 
 from stillroom.bounds import bounded
 from stillroom.compiled import njit
-from stillroom.data.frame import Frame, Keypoints, ScaleLevels
+from stillroom.data.frame import Frame, Keypoints, ScaleLevels, finest_px
 from stillroom.data.image import Image
 from stillroom.data.map import Map
+from stillroom.data.sensor import Sensor
 from stillroom.features.corners import Corners, detect, spread
 from stillroom.features.keypoint_depth import KeypointDepth, RegisteredDepth
 from stillroom.geometry.arrays import F32, F64, I32, I64, U8, U16, Bool
@@ -208,9 +209,9 @@ class OrbConfig:
         fits = self.min_depth_m < self.max_depth_m
         return None if fits else ("max_depth_m", "min_depth_m")
 
-    def scales(self, camera: Camera) -> ScaleLevels:
-        """Return the pyramid over images of a camera: its finest level is 640 pixels long."""
-        return ScaleLevels(self.scale_factor, self.n_levels, camera.pixel_scale)
+    def scales(self, camera: Camera, sensor: Sensor = Sensor.RGBD) -> ScaleLevels:
+        """Return the pyramid over images of a camera."""
+        return ScaleLevels(self.scale_factor, self.n_levels, finest_px(camera, sensor))
 
     def registered_depth(self, camera: Camera) -> RegisteredDepth:
         """Return what reads the depth of keypoints in a camera's depth images."""
@@ -222,7 +223,8 @@ class OrbConfig:
 
     def build(self, parts: Parts, depth: KeypointDepth | None = None) -> "OrbExtractor":
         """Return the extractor for a camera; where `depth` is not given, depth images are read."""
-        return OrbExtractor(self, parts.camera, parts.seed, depth)
+        depth = self.registered_depth(parts.camera) if depth is None else depth
+        return OrbExtractor(self, parts.camera, self.scales(parts.camera, parts.sensor), parts.seed, depth)
 
 
 class UntilMap:
@@ -240,11 +242,10 @@ class UntilMap:
 class OrbExtractor:
     """Finds ORB keypoints in images of one camera."""
 
-    def __init__(self, config: OrbConfig, camera: Camera, seed: int = 0, depth: KeypointDepth | None = None) -> None:
-        """Prepare quotas and tables; where `depth` is not given, depth images are read."""
-        self.config, self.camera, self.seed = config, camera, seed
-        self._depth = config.registered_depth(camera) if depth is None else depth
-        self.scales = config.scales(camera)
+    def __init__(self, config: OrbConfig, camera: Camera, scales: ScaleLevels, seed: int, depth: KeypointDepth) -> None:
+        """Prepare quotas and tables."""
+        self.config, self.camera, self.scales, self.seed = config, camera, scales, seed
+        self._depth = depth
         self._disc = disc_weights()
         shares = self.scales.factors**-1.0
         self._quotas = [int(q) for q in np.rint(config.n_features * shares / shares.sum())]
@@ -256,15 +257,21 @@ class OrbExtractor:
 
     def extract(self, image: Image) -> Frame:
         """Return the frame of the image; a black image gives zero keypoints."""
-        levels = self._pyramid(image.gray)
-        corners = detect(levels, self.config.usual_score, BORDER_PX)
-        if len(corners.score) < 2 * self.config.n_features:
-            corners = detect(levels, self.config.weak_score, BORDER_PX)
-        chosen = spread(corners, self._sizes, self._quotas, self.config.strong_score, self.seed)
+        levels, found = self.find(image.gray)
+        keypoints = self._depth.measured(image, levels, found)
+        return Frame(image, self.camera, self.scales, keypoints, np.ones(len(keypoints), dtype=np.bool_))
+
+    def find(self, gray: U8) -> tuple[list[U8], Keypoints]:
+        """Return the pyramid of a brightness (H, W), valid until the next call, and its keypoints, of unknown depth."""
+        config, levels = self.config, self._pyramid(gray)
+        corners = detect(levels, config.usual_score, BORDER_PX)
+        if config.weak_score != config.usual_score and len(corners.score) < 2 * config.n_features:
+            corners = detect(levels, config.weak_score, BORDER_PX)
+        chosen = spread(corners, self._sizes, self._quotas, config.strong_score, self.seed)
         angle_rad, descriptors = self._describe(levels, corners, chosen)
         raw_px = self._to_finest_level(corners, chosen)
         n = len(raw_px)
-        found = Keypoints(
+        return levels, Keypoints(
             px=self.camera.undistort(raw_px),
             raw_px=raw_px,
             octave=corners.level[chosen],
@@ -273,8 +280,6 @@ class OrbExtractor:
             depth_m=np.zeros(n, dtype=np.float32),
             right_px=np.full(n, -1.0, dtype=np.float32),
         )
-        keypoints = self._depth.measured(image, levels, found)
-        return Frame(image, self.camera, self.scales, keypoints, np.ones(n, dtype=np.bool_))
 
     def _pyramid(self, gray: U8) -> list[U8]:
         levels = [_at_usual_size(gray, self._sizes[0])]

@@ -121,7 +121,7 @@ def opened_map(
         yield OpenedMap(earlier.world, earlier=earlier)
         return
     if earlier is None:
-        world = Map(config.features.scales(camera), sensor)
+        world = Map(config.features.scales(camera, sensor), sensor)
         writer = MapWriter.create(file.path, world, camera)
     else:
         _require_camera(file.path, earlier.camera, camera, sequence)
@@ -141,8 +141,8 @@ def opened_map(
 
 def _loaded(path: Path, config: SlamConfig) -> StoredMap:
     stored = load_map(path)
-    if stored.world.scales != config.features.scales(stored.camera):
-        was, asked = stored.world.scales, config.features.scales(stored.camera)
+    was, asked = stored.world.scales, config.features.scales(stored.camera, stored.world.sensor)
+    if was != asked:
         raise MapError(
             f"{path}: was made with {was.count} pyramid levels of {was.factor}, not {asked.count} of {asked.factor}; "
             f"--set features.n_levels={was.count} --set features.scale_factor={was.factor}"

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from stillroom.data.frame import ScaleLevels
+from stillroom.data.frame import ScaleLevels, finest_px
 from stillroom.data.image import Image
 from stillroom.data.map import Map
 from stillroom.data.sensor import Sensor
@@ -86,7 +86,8 @@ def _read(database: sqlite3.Connection) -> StoredMap:
     camera = _camera(head)
     if not (1 <= head["n_levels"] <= MOST_LEVELS and 1.0 < head["scale_factor"] < np.inf):
         raise MapError(f"{head['n_levels']} pyramid levels of {head['scale_factor']} cannot be; the map is damaged")
-    world = Map(ScaleLevels(head["scale_factor"], head["n_levels"], camera.pixel_scale), _sensor(database))
+    sensor = _sensor(database)
+    world = Map(ScaleLevels(head["scale_factor"], head["n_levels"], finest_px(camera, sensor)), sensor)
     _read_keyframes(database, world)
     _read_points(database, world, head["n_points"])
     edges = database.execute("SELECT older, newer, weight FROM covisibility ORDER BY older, newer").fetchall()

@@ -11,7 +11,7 @@ from stillroom.config import SlamConfig
 from stillroom.config.kinds import DYNAMICS
 from stillroom.data.dense_cloud import DenseCloud
 from stillroom.data.frame import Frame
-from stillroom.data.image import MonoImage, RgbdImage
+from stillroom.data.image import MonoImage, RgbdImage, StereoImage
 from stillroom.data.map import Map
 from stillroom.data.motion import Motion
 from stillroom.data.question import Question
@@ -124,6 +124,7 @@ def do_everything() -> None:
     system = track()
     roll()
     begin_without_depth()
+    pair()
     segment()
     recognise(system)
     reduce_sparsely()
@@ -167,6 +168,15 @@ def begin_without_depth() -> None:
     for image in images():
         system.process(MonoImage(image.timestamp_s, image.rgb, image.index))
     system.close()
+
+
+def pair() -> None:
+    """Find the depth of keypoints in a pair of images."""
+    config, image = SlamConfig(), next(images())
+    scales = config.features.scales(CAMERA, Sensor.STEREO)
+    parts = Parts(CAMERA, Map(scales, Sensor.STEREO), sensor=Sensor.STEREO)
+    extractor = config.features.build(parts, config.stereo.build(parts, config.features))
+    extractor.extract(StereoImage(image.timestamp_s, image.rgb, np.roll(image.gray, -STEP_PX, axis=1)))
 
 
 def segment() -> None:

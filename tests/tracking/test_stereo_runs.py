@@ -1,0 +1,72 @@
+"""Whole runs with a pair of cameras: a street, a vehicle at rest, and rendered rooms with and without people."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stillroom.config import SlamConfig
+from stillroom.config.sensors import fit_to_sensor
+from stillroom.data.sensor import Sensor
+from stillroom.datasets.open import open_dataset
+from stillroom.evaluation.trajectory_errors import ate
+from stillroom.geometry import se3
+from stillroom.presets.registry import configure
+from stillroom.protocols import Dataset
+from stillroom.system import System, build
+
+
+def run(dataset: Dataset, config: SlamConfig, n_images: int) -> System:
+    fitted, _ = fit_to_sensor(config, dataset.sensor)
+    system = build(fitted, dataset.camera, sensor=dataset.sensor)
+    for index in range(n_images):
+        system.process(dataset.load(index))
+    system.close()
+    return system
+
+
+def test_a_car_is_tracked_along_a_street(kitti: Path) -> None:
+    street = open_dataset(str(kitti))
+    assert street.sensor is Sensor.STEREO
+    system = run(street, configure("orb-slam2"), len(street))
+    found, truth = system.trajectory(), street.groundtruth
+    assert truth is not None
+    assert len(found) == len(street) == 51
+    assert ate(found, truth).se3_m.rmse < 0.2  # 0.07 over five seeds
+    path_m = np.linalg.norm(np.diff(truth.T_world_cam[:, :3, 3], axis=0), axis=1).sum()
+    ends = [se3.inverse(poses[0]) @ poses[-1] for poses in (found.T_world_cam, truth.T_world_cam)]
+    assert path_m == pytest.approx(59.9, abs=0.1)
+    assert np.linalg.norm(ends[0][:3, 3] - ends[1][:3, 3]) < 0.012 * path_m
+
+
+def test_a_vehicle_at_rest_stays_where_it_is(euroc_v101: Path) -> None:
+    room = open_dataset(str(euroc_v101))
+    system = run(room, configure("orb-slam2"), 20)
+    centres_m = system.trajectory().T_world_cam[:, :3, 3]
+    assert len(centres_m) == 20
+    assert np.linalg.norm(centres_m - centres_m.mean(axis=0), axis=1).max() < 0.005
+    known = [float((system.features.extract(room.load(index)).keypoints.depth_m > 0).mean()) for index in (0, 40, 90)]
+    assert min(known) >= 0.6
+
+
+@pytest.mark.parametrize("pair", ["rectified", "turned"])
+def test_a_rendered_room_without_people_is_tracked(pair: str) -> None:
+    room = open_dataset(f"synthetic:empty,frames=20,path=halfsphere,stereo={pair}")
+    system = run(room, configure("orb-slam2"), 20)
+    truth = room.groundtruth
+    assert truth is not None
+    assert len(system.trajectory()) == 20
+    assert ate(system.trajectory(), truth).se3_m.rmse < 0.01
+
+
+def test_people_are_kept_out_by_masks_and_by_clusters_of_the_pairs_own_depth_image() -> None:
+    room = open_dataset("synthetic:walking,frames=30,stereo=rectified")
+    truth = room.groundtruth
+    assert truth is not None
+    masked = ("semantics.kind=truth", "clusters.kind=nothing", "dynamics.kind=keep-all")
+    clustered = ("semantics.kind=truth", "stereo.dense=sgbm")
+    for name, settings in (("pspnet-slam", masked), ("oc-slam", clustered)):
+        system = run(room, configure(name, overrides=settings), 30)
+        assert len(system.trajectory()) == 30, name
+        assert ate(system.trajectory(), truth).se3_m.rmse < 0.015, name
+        assert (system.dense_cloud() is not None) == (name == "oc-slam")

@@ -12,7 +12,7 @@ from stillroom.features.projection import Window, keyframe_targets, projected, s
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64, I32, I64, Bool, Floats
 from stillroom.geometry.camera import Camera
-from stillroom.geometry.rigid import fit_rigid_robustly
+from stillroom.geometry.matched_clouds import fit_robustly
 from stillroom.optimize import observations
 from stillroom.optimize.pose import PoseOptimizer
 from stillroom.protocols import Parts
@@ -153,7 +153,7 @@ class Verifier:
             return np.asarray((forth < limit2) & (back < limit2))
 
         rng = np.random.default_rng((self.seed, keyframe, candidate))
-        fit = fit_rigid_robustly(there_m, here_m, agrees, rng, self.config.n_samples)
+        fit = fit_robustly(there_m, here_m, agrees, rng, self.config.n_samples)
         if fit is None or fit.n_inliers < self.config.min_inliers:
             return None
         T_cam_world: F64 = fit.T_target_source @ T_there_world

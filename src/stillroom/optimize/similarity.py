@@ -1,0 +1,168 @@
+"""The similarity between two cameras that see the same points, each in its own map of another scale.
+
+ORB-SLAM2's OptimizeSim3 (Mur-Artal et al. 2015, section VI-B; docs/reference.md#orb-slam2-loops): reprojection errors
+in both images, over the seven degrees of freedom of Sim(3).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stillroom.geometry import sim3, twists
+from stillroom.geometry.arrays import F64, Bool, Floats
+from stillroom.geometry.camera import Camera
+from stillroom.optimize.observations import MIN_DEPTH_M
+
+CHI2 = 9.21
+"""99 % at two degrees of freedom: the limit on the squared error of a pair in either image (ORB-SLAM2)."""
+_DAMPING = 1e-6
+_FLOOR = 1e-12
+
+
+@dataclass(frozen=True)
+class SharedPoints:
+    """N points that the first camera sees, and the second one knows the place of; some also the other way round.
+
+    Attributes:
+        of_second_m: Points (N, 3) as the second camera's map knows them, in that camera's coordinates.
+        first_px: Where the first camera sees them (N, 2) [px].
+        first_weights: Inverse variances of that (N,) [1/px²].
+        of_first_m: The points (N, 3) as the first camera's map knows them, in that camera's coordinates.
+        second_px: Where the second camera sees them (N, 2) [px].
+        second_weights: Inverse variances of that (N,) [1/px²]; 0 where the second does not see, or the first map does
+            not know, the point.
+    """
+
+    of_second_m: Floats
+    first_px: Floats
+    first_weights: Floats
+    of_first_m: Floats
+    second_px: Floats
+    second_weights: Floats
+
+
+@dataclass(frozen=True)
+class SimilarityEstimate:
+    """A similarity, and what agrees with it.
+
+    Attributes:
+        S_first_second: It takes points of the second camera to the first (4, 4).
+        is_inlier: Points (N,) whose errors are within the limit in both images.
+    """
+
+    S_first_second: F64
+    is_inlier: Bool
+
+
+@dataclass(frozen=True)
+class SimilarityConfig:
+    """Optimisation of a similarity.
+
+    Attributes:
+        first_iterations, iterations: Steps with all points, and then with those that agree.
+    """
+
+    first_iterations: int = 5
+    iterations: int = 10
+
+    def build(self) -> "SimilarityOptimizer":
+        """Return the optimiser."""
+        return SimilarityOptimizer(self)
+
+
+class SimilarityOptimizer:
+    """Levenberg–Marquardt on Sim(3) with Huber's kernel."""
+
+    def __init__(self, config: SimilarityConfig | None = None) -> None:
+        self.config = config or SimilarityConfig()
+
+    def __call__(self, S_first_second: Floats, points: SharedPoints, camera: Camera) -> SimilarityEstimate:
+        """Minimise the errors in both images, from a first guess (4, 4) on; the same camera took both."""
+        S = np.array(S_first_second, dtype=np.float64)
+        used = np.ones(len(points.first_weights), dtype=np.bool_)
+        for n_steps in (self.config.first_iterations, self.config.iterations):
+            S = _minimized(S, points, used, camera, n_steps)
+            used = (chi2(S, points, camera) <= CHI2).all(axis=0)
+        return SimilarityEstimate(S, used)
+
+
+def chi2(S_first_second: F64, points: SharedPoints, camera: Camera) -> F64:
+    """Return the weighted squared errors (2, N) in the first and the second image; infinite behind a camera."""
+    errors, _ = _errors(S_first_second, points, camera)
+    return np.stack([_chi2(*one) for one in errors])
+
+
+def _minimized(S: F64, points: SharedPoints, used: Bool, camera: Camera, n_steps: int) -> F64:
+    damping, growth = _DAMPING, 2.0
+    errors, jacobians = _errors(S, points, camera)
+    cost = _cost(errors, used)
+    for _ in range(n_steps):
+        H, gradient = _normal_equations(errors, jacobians, used)
+        H[np.diag_indices(7)] += damping * np.diag(H) + _FLOOR
+        trial = S @ sim3.exp(np.linalg.solve(H, -gradient)[None])[0]
+        trial_errors, trial_jacobians = _errors(trial, points, camera)
+        trial_cost = _cost(trial_errors, used)
+        if not trial_cost <= cost:
+            damping, growth = damping * growth, 2.0 * growth
+            continue
+        S, errors, jacobians, cost = trial, trial_errors, trial_jacobians, trial_cost
+        damping, growth = damping / 3.0, 2.0
+    return S
+
+
+_Errors = tuple[tuple[F64, F64], tuple[F64, F64]]
+"""Errors (N, 2) [px] and weights (N,) in the first image and in the second; a weight is infinite behind the camera."""
+
+
+def _errors(S: F64, points: SharedPoints, camera: Camera) -> tuple[_Errors, tuple[F64, F64]]:
+    """Return the errors in both images, and their derivatives (N, 2, 7) by ξ in S exp(ξ)."""
+    S_second_first = sim3.inverse(S)
+    q = np.asarray(points.of_second_m, dtype=np.float64)
+    p = q @ S[:3, :3].T + S[:3, 3]
+    r = np.asarray(points.of_first_m, dtype=np.float64) @ S_second_first[:3, :3].T + S_second_first[:3, 3]
+    forth, by_p = _projected(p, points.first_px, points.first_weights, camera)
+    back, by_r = _projected(r, points.second_px, points.second_weights, camera)
+    return (forth, back), (by_p @ (S[:3, :3] @ _of_points(q)), -by_r @ _of_points(r))
+
+
+def _of_points(x: F64) -> F64:
+    """Return the derivatives (N, 3, 7) of exp(ξ) x by ξ at 0."""
+    return np.concatenate((np.broadcast_to(np.eye(3), (len(x), 3, 3)), -twists.skew(x), x[:, :, None]), axis=2)
+
+
+def _projected(x: F64, seen_px: Floats, weights: Floats, camera: Camera) -> tuple[tuple[F64, F64], F64]:
+    """Return errors (N, 2) [px] and weights (N,) of points (N, 3), and derivatives (N, 2, 3) by them."""
+    ahead = x[:, 2] > MIN_DEPTH_M
+    z = np.where(ahead, x[:, 2], 1.0)
+    u, v = x[:, 0] / z, x[:, 1] / z
+    error = np.stack((camera.fx * u + camera.cx, camera.fy * v + camera.cy), axis=1) - seen_px
+    by_x = np.zeros((len(x), 2, 3))
+    by_x[:, 0, 0], by_x[:, 0, 2] = camera.fx / z, -camera.fx * u / z
+    by_x[:, 1, 1], by_x[:, 1, 2] = camera.fy / z, -camera.fy * v / z
+    weight = np.asarray(weights, dtype=np.float64)
+    return (error, np.where(ahead | (weight == 0.0), weight, np.inf)), by_x
+
+
+def _chi2(error: F64, weight: F64) -> F64:
+    known = np.where(np.isfinite(weight), weight, 0.0)
+    return np.where(np.isfinite(weight), known * (error**2).sum(axis=1), np.inf)
+
+
+def _cost(errors: _Errors, used: Bool) -> float:
+    """Return Huber's Σρ(χ²); a point behind a camera counts as one a million σ off."""
+    total = 0.0
+    for one in errors:
+        found = np.minimum(_chi2(*one)[used], 1e12)
+        total += float(np.where(found <= CHI2, found, 2.0 * np.sqrt(CHI2 * found) - CHI2).sum())
+    return total
+
+
+def _normal_equations(errors: _Errors, jacobians: tuple[F64, F64], used: Bool) -> tuple[F64, F64]:
+    H, gradient = np.zeros((7, 7)), np.zeros(7)
+    for (error, weight), J in zip(errors, jacobians, strict=True):
+        counted = np.flatnonzero(used & np.isfinite(weight))
+        factor = np.sqrt(CHI2 / np.maximum(_chi2(error, weight)[counted], CHI2)) * weight[counted]
+        weighted = factor[:, None, None] * J[counted]
+        H += np.einsum("nij,nik->jk", weighted, J[counted])
+        gradient += np.einsum("nij,ni->j", weighted, error[counted])
+    return H, gradient

@@ -270,7 +270,7 @@ class System:
 
     def _pose_now(self, result: FrameSummary) -> F64:
         assert result.T_reference_cam is not None
-        return self.map.keyframe_pose(result.reference_keyframe) @ result.T_reference_cam
+        return self.map.placed_by(result.reference_keyframe, result.T_reference_cam)
 
     def _submap_of(self, tracked: Tracked) -> int:
         known = tracked.reference_keyframe >= 0
@@ -279,7 +279,7 @@ class System:
     def _in_reference(self, tracked: Tracked) -> F64 | None:
         if tracked.T_world_cam is None:
             return None
-        return se3.inverse(self.map.keyframe_pose(tracked.reference_keyframe)) @ tracked.T_world_cam
+        return self.map.noted_in(tracked.reference_keyframe, tracked.T_world_cam)
 
 
 def build(

@@ -233,6 +233,23 @@ def test_evaluate_anyone_s_trajectory(done: Path, stillroom: Callable) -> None:
     assert [path.name.split("_", 2)[2] for path in Path("results").iterdir()] == ["evaluation_trajectory_online"]
 
 
+def test_evaluate_aligns_as_asked(done: Path, stillroom: Callable) -> None:
+    judge = ("evaluate", "--estimate", done / "trajectory.tum", "--groundtruth", done / "groundtruth.tum")
+    said = stillroom(*judge, "--align", "sim3", "--out", "judged")
+    assert said.code == 0, said.err
+    assert "ATE [m], Sim(3), scale" in said.out
+    assert "ATE [m], SE(3)" not in said.out
+    assert "it was aligned by Sim(3)" in said.out
+    figures = json.loads(Path("judged/metrics.json").read_text(encoding="utf-8"))
+    assert figures["as_given"]["alignment"] == "Sim(3)"
+    of_folder = json.loads(stillroom("evaluate", done, "--align", "sim3", "--json").out)
+    assert of_folder["as_given"]["alignment"] == "Sim(3)"
+    assert "as_given" in json.loads((done / "metrics.json").read_text(encoding="utf-8"))
+    refused = stillroom(*judge, "--align", "rigid")
+    assert refused.code == 1
+    assert "align is 'rigid'; it must be 'se3' or 'sim3'" in refused.errors[0]
+
+
 def test_evaluate_by_another_clock(done: Path, stillroom: Callable) -> None:
     lines = (done / "trajectory.tum").read_text(encoding="utf-8").splitlines()
     late = [f"{float(line.split()[0]) + 0.8:.6f} {line.split(maxsplit=1)[1]}" for line in lines[1:]]

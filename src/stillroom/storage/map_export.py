@@ -201,7 +201,7 @@ def trajectories(stored: StoredMap) -> list[Trajectory]:
         frames = [f for f in stored.frames if f.session == number]
         frames = [f for f in frames if world.keyframes.submap[f.reference_keyframe] == main]
         frames.sort(key=lambda frame: frame.timestamp_s)
-        poses = [world.keyframe_pose(frame.reference_keyframe) @ frame.T_reference_cam for frame in frames]
+        poses = [world.placed_by(frame.reference_keyframe, frame.T_reference_cam) for frame in frames]
         found.append(_trajectory([frame.timestamp_s for frame in frames], poses))
     return found
 

@@ -305,7 +305,7 @@ class Tracker:
             self._velocity.update(T_world_last, tracked.T_world_cam)
         self._frames_since_recovery = 0 if tracked.recovered else self._frames_since_recovery + 1
         self._last = tracked
-        self._T_reference_last = se3.inverse(world.keyframe_pose(tracked.reference_keyframe)) @ tracked.T_world_cam
+        self._T_reference_last = world.noted_in(tracked.reference_keyframe, tracked.T_world_cam)
 
     @property
     def _reference(self) -> int:
@@ -321,8 +321,7 @@ class Tracker:
     def _last_pose_as_known_now(self, world: Map) -> F64 | None:
         if self._last is None or self._T_reference_last is None:
             return None
-        T_world_last: F64 = world.keyframe_pose(self._last.reference_keyframe) @ self._T_reference_last
-        return T_world_last
+        return world.placed_by(self._last.reference_keyframe, self._T_reference_last)
 
     def _before(self, frame: Frame, world: Map) -> Before | None:
         """Return the frame before this one, as known now."""

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 import onnxruntime
 
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image
 from stillroom.datasets.open import open_dataset
 from stillroom.protocols import Segmenter
 from stillroom.semantics.carried_boxes import CarryConfig
@@ -26,13 +26,13 @@ WARM_UP_FRAMES = 50
 LARGE_PX = 8000
 
 
-def teacher(model: str) -> Callable[[RgbdImage], np.ndarray]:
+def teacher(model: str) -> Callable[[Image], np.ndarray]:
     """Return a function that gives the person mask (H, W) of an image."""
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = 1
     session = onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
 
-    def person(image: RgbdImage) -> np.ndarray:
+    def person(image: Image) -> np.ndarray:
         height, width = (side // 16 * 16 + 1 for side in (image.height, image.width))
         pixels = cv2.resize(image.rgb, (width, height)).astype(np.float32) / 127.5 - 1.0
         logits = session.run(None, {"image": pixels.transpose(2, 0, 1)[None]})[0][0]
@@ -63,7 +63,7 @@ class Tally:
         self.covered = self.person = self.extra = self.pixels = self.large = self.carried = 0
         self.cost_s: list[float] = []
 
-    def ask(self, segmenter: Segmenter, image: RgbdImage, mask: np.ndarray | None) -> None:
+    def ask(self, segmenter: Segmenter, image: Image, mask: np.ndarray | None) -> None:
         start_s = time.thread_time()
         answer = segmenter(image)
         cost_s = time.thread_time() - start_s

@@ -17,7 +17,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image
 from stillroom.datasets.open import open_dataset
 from stillroom.semantics.masks.mask_segments import HalfImage, MaskSegments
 from stillroom.semantics.masks.pspnet import pspnet
@@ -36,7 +36,7 @@ GREEN, RED = (70, 220, 95), (235, 60, 50)
 ROUNDS = 3
 
 
-def reference(teacher: Teacher, image: RgbdImage) -> np.ndarray:
+def reference(teacher: Teacher, image: Image) -> np.ndarray:
     view = HalfImage.of(image)
     rows, columns = view.shape
     likely = cv2.resize(teacher(image.rgb)[..., PERSON].astype(np.float32), (columns, rows))
@@ -44,7 +44,7 @@ def reference(teacher: Teacher, image: RgbdImage) -> np.ndarray:
     return mended.mask
 
 
-def masks_at_half_size(network, image: RgbdImage) -> tuple[np.ndarray, np.ndarray]:
+def masks_at_half_size(network, image: Image) -> tuple[np.ndarray, np.ndarray]:
     """Return what the network says alone, and mended by depth as in a run."""
     view = HalfImage.of(image)
     rows, columns = view.shape
@@ -53,7 +53,7 @@ def masks_at_half_size(network, image: RgbdImage) -> tuple[np.ndarray, np.ndarra
     return alone.mask, refined(alone, view.depth_m, RefineConfig()).mask
 
 
-def cost(network, images: list[RgbdImage]) -> tuple[float, float]:
+def cost(network, images: list[Image]) -> tuple[float, float]:
     """Return a unit [ms], and the network in units, its input's and output's making included."""
     orb = cv2.ORB_create(1000)
     units, times = [], []
@@ -68,7 +68,7 @@ def cost(network, images: list[RgbdImage]) -> tuple[float, float]:
     return 1e3 * float(np.median(units)), float(np.median(times) / np.median(units))
 
 
-def drawn(image: RgbdImage, true: np.ndarray, told: np.ndarray) -> np.ndarray:
+def drawn(image: Image, true: np.ndarray, told: np.ndarray) -> np.ndarray:
     size = (image.width, image.height)
     true, told = (cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0 for mask in (true, told))
     picture = enlarged(image.rgb, SCALE)

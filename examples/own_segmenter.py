@@ -23,7 +23,7 @@ class NearThings:
     def __init__(self, nearer_m: float, min_area_px: int) -> None:
         self.nearer_m, self.min_area_px = nearer_m, min_area_px
 
-    def __call__(self, image: sr.RgbdImage) -> Semantics:
+    def __call__(self, image: sr.Image) -> Semantics:
         near = (image.depth_m > 0) & (image.depth_m < self.nearer_m)
         closed = cv2.morphologyEx(near.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((9, 9), np.uint8)).astype(bool)
         things = tuple(part for part in connected_parts(closed, "near thing") if part.area_px >= self.min_area_px)

@@ -1,5 +1,8 @@
 from .data.dense_cloud import DenseCloud as DenseCloud
+from .data.image import Image as Image
+from .data.image import MonoImage as MonoImage
 from .data.image import RgbdImage as RgbdImage
+from .data.image import StereoImage as StereoImage
 from .data.motion import Motion as Motion
 from .data.result import FrameResult as FrameResult
 from .data.result import TrackingState as TrackingState

@@ -29,13 +29,14 @@ from typing import ParamSpec, Protocol, Self, TypeVar, runtime_checkable
 
 from stillroom.data.dense_cloud import DenseCloud
 from stillroom.data.frame import Frame
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image
 from stillroom.data.map import Map
 from stillroom.data.motion import Motion
 from stillroom.data.question import Pending as Pending
 from stillroom.data.question import Question
 from stillroom.data.result import FrameResult, FrameSummary, Tracked
 from stillroom.data.semantics import Semantics
+from stillroom.data.sensor import Sensor
 from stillroom.data.trajectory import Trajectory
 from stillroom.geometry.arrays import F32, F64, I64, U8, Bool
 from stillroom.geometry.camera import Camera
@@ -51,6 +52,10 @@ class Origin(Protocol):
     @property
     def name(self) -> str:
         """Short name, used for the results folder."""
+
+    @property
+    def sensor(self) -> Sensor:
+        """What kind of camera takes the images; all of them are of that kind."""
 
     @property
     def camera(self) -> Camera:
@@ -81,7 +86,7 @@ class Dataset(Origin, Protocol):
 
     @property
     def numbers(self) -> I64:
-        """Numbers (N,) of the images in the original sequence, increasing; those of `RgbdImage.index`.
+        """Numbers (N,) of the images in the original sequence, increasing; those of `Image.index`.
 
         They are the places 0 … N − 1 unless this is a part of another sequence.
         """
@@ -97,10 +102,10 @@ class Dataset(Origin, Protocol):
     def __len__(self) -> int:
         """Number of images."""
 
-    def __iter__(self) -> Iterator[RgbdImage]:
+    def __iter__(self) -> Iterator[Image]:
         """Yield the images in order; those that cannot be used are left out with a warning each."""
 
-    def load(self, index: int) -> RgbdImage:
+    def load(self, index: int) -> Image:
         """Return image `index`.
 
         Raises:
@@ -128,8 +133,8 @@ class CameraStream(Origin, Protocol):
     ) -> None:
         """Stop the camera; no thread of it is left."""
 
-    def next(self) -> RgbdImage | None:
-        """Wait for the next image; None after the last one. `RgbdImage.index` counts the images that were taken.
+    def next(self) -> Image | None:
+        """Wait for the next image; None after the last one. `Image.index` counts the images that were taken.
 
         Raises:
             FrameError: This one image cannot be used; the next one may.
@@ -199,7 +204,7 @@ class RenderedDataset(KnownScene, Dataset, Protocol):
 class Segmenter(Protocol):
     """Finds what is potentially dynamic. May keep state over time: it is called once for each image, in order."""
 
-    def __call__(self, image: RgbdImage) -> Semantics:
+    def __call__(self, image: Image) -> Semantics:
         """Return boxes or a mask of what is potentially dynamic in the image."""
 
 
@@ -210,7 +215,7 @@ class KeyframeSegmenter(Segmenter, Protocol):
     Its result for other images is what it carries to them, or nothing. The first image is seen at once.
     """
 
-    def see(self, image: RgbdImage) -> Semantics:
+    def see(self, image: Image) -> Semantics:
         """Return what the network finds in an image that becomes a keyframe.
 
         `__call__` had the image before; on a live schedule it may have had the next one too.
@@ -220,7 +225,7 @@ class KeyframeSegmenter(Segmenter, Protocol):
 class Clusterer(Protocol):
     """Clusters the depth cloud of an image. Called once for each image, in order."""
 
-    def __call__(self, image: RgbdImage, semantics: Pending[Semantics]) -> Semantics:
+    def __call__(self, image: Image, semantics: Pending[Semantics]) -> Semantics:
         """Return the semantics with the clusters added; wait for the input semantics only where needed."""
 
 
@@ -243,7 +248,7 @@ class Schedule(Protocol):
 class FeatureExtractor(Protocol):
     """Finds keypoints."""
 
-    def extract(self, image: RgbdImage) -> Frame:
+    def extract(self, image: Image) -> Frame:
         """Return the frame of the image; a black image may give zero keypoints."""
 
 
@@ -336,6 +341,7 @@ class Parts:
         seed: Seed of all random choices.
         clock: Times stages within the part.
         schedule: Runs what a part does not wait for.
+        sensor: What kind of camera takes the images.
     """
 
     camera: Camera
@@ -343,12 +349,13 @@ class Parts:
     seed: int = 0
     clock: Clock = field(default_factory=NoClock)
     schedule: Schedule = field(default_factory=InOrder)
+    sensor: Sensor = Sensor.RGBD
 
 
 class DenseMapping(Protocol):
     """Makes a dense map; sieve 3: what is dynamic is not fused, and what has moved is removed again."""
 
-    def integrate(self, keyframe: int, image: RgbdImage, excluded: Bool | None = None) -> None:
+    def integrate(self, keyframe: int, image: Image, excluded: Bool | None = None) -> None:
         """Fuse a new keyframe.
 
         Args:
@@ -357,7 +364,7 @@ class DenseMapping(Protocol):
             excluded: Dynamic pixels (H, W).
         """
 
-    def carve(self, image: RgbdImage, T_world_cam: F64, excluded: Bool | None = None) -> None:
+    def carve(self, image: Image, T_world_cam: F64, excluded: Bool | None = None) -> None:
         """Carve free space with a frame that is no keyframe.
 
         Args:
@@ -376,7 +383,7 @@ class DenseMapping(Protocol):
 class MapKeeping(Protocol):
     """Stores the map beyond the run."""
 
-    def keep(self, keyframe: int, image: RgbdImage, moving: Bool) -> None:
+    def keep(self, keyframe: int, image: Image, moving: Bool) -> None:
         """Write a keyframe, once the map around it is refined, and all that it changed.
 
         Args:

@@ -11,14 +11,16 @@ from stillroom.bounds import check, in_pixels_of
 from stillroom.config import SlamConfig
 from stillroom.data.dense_cloud import DenseCloud
 from stillroom.data.frame import Frame
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image
 from stillroom.data.map import Map, submaps
 from stillroom.data.question import Perceived
 from stillroom.data.result import FrameResult, FrameSummary, Recovery, Tracked
 from stillroom.data.semantics import Semantics
+from stillroom.data.sensor import Sensor
 from stillroom.data.trajectory import Trajectory
 from stillroom.dynamics.asking import Asking
 from stillroom.evaluation.timing import StageClock, timed_part
+from stillroom.features.keypoint_depth import KeypointDepth, NoDepth
 from stillroom.features.places.place_index import PlaceMemory
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64
@@ -51,11 +53,11 @@ from stillroom.viz.no_observer import NoObserver
 
 @dataclass
 class System:
-    """An RGB-D SLAM system, put together by `build`."""
+    """A SLAM system for one kind of camera, put together by `build`."""
 
     schedule: Schedule
     segmenter: Segmenter
-    see: Callable[[RgbdImage], Semantics] | None
+    see: Callable[[Image], Semantics] | None
     clusterer: Clusterer
     features: FeatureExtractor
     keypoint_sieve: KeypointSieve
@@ -76,9 +78,9 @@ class System:
     results: list[FrameSummary] = field(default_factory=list)
     first_keyframe: int = 0
     n_repeated: int = 0
-    _ahead: deque[tuple[RgbdImage, Pending[Frame] | None, Perceived]] = field(default_factory=deque)
+    _ahead: deque[tuple[Image, Pending[Frame] | None, Perceived]] = field(default_factory=deque)
 
-    def process(self, image: RgbdImage) -> FrameResult:
+    def process(self, image: Image) -> FrameResult:
         """Track one image; images come in order of time."""
         extracted, semantics = self._begun(image)
         with self.map.lock.frame():
@@ -99,7 +101,7 @@ class System:
                 self._map_densely(tracked, keyframe)
             return self._conclude(tracked, semantics, keyframe)
 
-    def begin(self, image: RgbdImage) -> None:
+    def begin(self, image: Image) -> None:
         """Submit what does not depend on earlier poses for an image that will be processed next.
 
         Workers do it while the image before is tracked. Images that are begun must be processed, in the same order; one
@@ -113,7 +115,7 @@ class System:
         extracted = submit(Worker.FEATURES, self.features.extract, image) if self.flow.extracts_all else None
         self._ahead.append((image, extracted, Perceived(found, clustered, waiting)))
 
-    def repeat(self, result: FrameResult, image: RgbdImage) -> FrameResult:
+    def repeat(self, result: FrameResult, image: Image) -> FrameResult:
         """Give an image that shows exactly what the one before it did that one's pose, and count it.
 
         Args:
@@ -185,7 +187,7 @@ class System:
         finally:
             self.schedule.close()
 
-    def _begun(self, image: RgbdImage) -> tuple[Pending[Frame] | None, Perceived]:
+    def _begun(self, image: Image) -> tuple[Pending[Frame] | None, Perceived]:
         """Return what workers do with an image; those begun before it are dropped."""
         self.begin(image)
         while True:
@@ -193,7 +195,7 @@ class System:
             if begun is image:
                 return extracted, semantics
 
-    def _extracted(self, image: RgbdImage, begun: Pending[Frame] | None) -> Frame:
+    def _extracted(self, image: Image, begun: Pending[Frame] | None) -> Frame:
         """Return the keypoints of an image; those that no worker has begun are awaited by tracking at once."""
         return self.features.extract(image) if begun is None else begun.result()
 
@@ -209,7 +211,7 @@ class System:
     def _mapping_keeps_up(self) -> bool:
         return self.schedule.keeps_up(Worker.MAPPING) and self.schedule.keeps_up(Worker.DENSE)
 
-    def _refine_around(self, keyframe: int, image: RgbdImage, tracked: Tracked) -> None:
+    def _refine_around(self, keyframe: int, image: Image, tracked: Tracked) -> None:
         """Submit the mapping of a new keyframe."""
         submit = self.schedule.submit
         submit(Worker.MAPPING, self.mapper.refine, keyframe)  # triangulate, fuse, adjust, cull
@@ -291,6 +293,7 @@ def build(
     clock: StageClock | None = None,
     world: Map | None = None,
     keeper: MapKeeping | None = None,
+    sensor: Sensor = Sensor.RGBD,
 ) -> System:
     """Put a system together.
 
@@ -303,59 +306,73 @@ def build(
         clock: Times the stages. `tracking` includes `dynamics`, sieve 2; `memory` is the update of that sieve's memory.
         world: The map of an earlier run to extend; by default a new one.
         keeper: Writes the map to disk; none by default.
+        sensor: What kind of camera takes the images.
 
     Raises:
-        ConfigError: A value is impossible.
-        WeightsError, VocabularyError: A network's weights are absent; the vocabulary of places cannot be read.
+        ConfigError, WeightsError, VocabularyError: A value is impossible; what it names is absent, or cannot be read.
     """
     check(config)
     config = in_pixels_of(config, camera.pixel_scale)
-    clock, world = clock or StageClock(), world or Map(config.features.scales(camera))
-    parts = Parts(camera, world, config.seed, clock, schedule or InOrder())
+    clock, world = clock or StageClock(), world or Map(config.features.scales(camera), sensor)
+    parts = Parts(camera, world, config.seed, clock, schedule or InOrder(), sensor)
     sieve = timed_part(Asking(config.dynamics.build(parts), world), clock, judge="dynamics", remember="memory")
     tracker = config.tracking.build(parts, sieve, config.low_cost.build(parts, sieve))
-    keyframes, keypoint_sieve = config.keyframes.build(parts), config.keypoints.build(parts)
+    policy, keypoints, dense = config.keyframes.build(parts), config.keypoints.build(parts), config.dense.build(parts)
     segmenter, places = segmenter or config.semantics.build(parts), config.places.build(parts)
     places.remember_all()
-    dense_mapper, prior = config.dense.build(parts), config.trajectory
-    refresh = partial(parts.schedule.submit, Worker.DENSE, dense_mapper.refresh)
+    refresh = partial(parts.schedule.submit, Worker.DENSE, dense.refresh)
     return System(
         schedule=parts.schedule,
         segmenter=clock.timed("semantics", segmenter),
         see=clock.timed("semantics", segmenter.see) if isinstance(segmenter, KeyframeSegmenter) else None,
         clusterer=clock.timed("clusters", config.clusters.build(parts)),
-        features=timed_part(config.features.build(parts), clock, extract="features"),
-        keypoint_sieve=keypoint_sieve,
+        features=timed_part(config.features.build(parts, _keypoint_depth(config, parts)), clock, extract="features"),
+        keypoint_sieve=keypoints,
         sieve=sieve,
         tracker=timed_part(tracker, clock, track="tracking"),
-        flow=timed_part(config.tracking.build_flow(tracker, keypoint_sieve, keyframes), clock, follow="flow"),
+        flow=timed_part(config.tracking.build_flow(tracker, keypoints, policy), clock, follow="flow"),
         recovery=timed_part(config.recovery.build(parts, tracker, places), clock, recover="recovery"),
-        keyframe_policy=keyframes,
+        keyframe_policy=policy,
         mapper=timed_part(config.mapping.build(parts), clock, insert="keyframe", refine="mapping", finish="rest"),
         places=timed_part(places, clock, remember="places"),
         joiner=timed_part(config.joining.build(parts, places, after=(refresh,)), clock, join="joining"),
         loop_closer=timed_part(config.loops.build(parts, places, after=(refresh,)), clock, close="loops"),
-        dense_mapper=timed_part(dense_mapper, clock, integrate="dense", carve="carving"),
+        dense_mapper=timed_part(dense, clock, integrate="dense", carve="carving"),
         keeper=timed_part(keeper, clock, keep="storage") if keeper else NoKeeper(),
         map=world,
         observer=observer or NoObserver(),
-        prior=prior,
+        prior=config.trajectory,
         first_keyframe=len(world.keyframes),
     )
 
 
-def segmenter_of(config: SlamConfig, camera: Camera, schedule: Schedule | None = None) -> Segmenter:
+def _keypoint_depth(config: SlamConfig, parts: Parts) -> KeypointDepth:
+    """Return where keypoints get their depth from, with the sensor that there is."""
+    match parts.sensor:
+        case Sensor.RGBD:
+            return config.features.registered_depth(parts.camera)
+        case Sensor.STEREO:
+            return config.stereo.build(parts)
+        case Sensor.MONOCULAR:
+            return NoDepth()
+
+
+def segmenter_of(
+    config: SlamConfig, camera: Camera, schedule: Schedule | None = None, sensor: Sensor = Sensor.RGBD
+) -> Segmenter:
     """Return the segmenter of a config on its own, such as to check early for missing files.
 
     Args:
         config: The config.
         camera: The calibration of the images.
         schedule: That of the system that will use it; in order by default.
+        sensor: What kind of camera takes the images.
 
     Raises:
         ConfigError, WeightsError: As `build`.
     """
-    parts = Parts(camera, Map(config.features.scales(camera)), config.seed, schedule=schedule or InOrder())
+    world = Map(config.features.scales(camera), sensor)
+    parts = Parts(camera, world, config.seed, schedule=schedule or InOrder(), sensor=sensor)
     return in_pixels_of(config.semantics, camera.pixel_scale).build(parts)
 
 

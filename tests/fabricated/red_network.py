@@ -8,7 +8,7 @@ import numpy as np
 import onnx
 from onnx import TensorProto, helper, numpy_helper
 
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image
 from stillroom.semantics.masks.onnx_masks import OnnxMasksConfig
 
 CLASSES = ("background", "person", "dog")
@@ -69,7 +69,7 @@ def red_config(model: Path, **options: Any) -> OnnxMasksConfig:
     return replace(config, regions=replace(config.regions, dilate_px=0))
 
 
-def reddened(image: RgbdImage) -> RgbdImage:
+def reddened(image: Image) -> Image:
     """Return a rendered image in gray with its people in red, darker or brighter as they were."""
     gray = np.repeat(image.gray[..., None], 3, axis=2)
     people = image.truth.mask

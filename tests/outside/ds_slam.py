@@ -7,7 +7,7 @@ import numpy as np
 
 from stillroom.config import SlamConfig
 from stillroom.data.frame import Frame
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image
 from stillroom.data.motion import Motion
 from stillroom.data.question import Question
 from stillroom.data.semantics import Semantics, union_of
@@ -36,7 +36,7 @@ class DsSlam:
     def __init__(self, config: DsSlamConfig, seed: int) -> None:
         self.config, self.usac = config, cv2.UsacParams()
         self.usac.randomGeneratorState, self.usac.threshold = seed, 0.5
-        self.last: RgbdImage | None = None
+        self.last: Image | None = None
         self.moving: ImageMemory[np.ndarray] = ImageMemory()
 
     def judge(self, question: Question) -> Motion:
@@ -53,7 +53,7 @@ class DsSlam:
     def corrected(self, T_new_old: np.ndarray) -> None:
         """Nothing that is remembered lies in the world."""
 
-    def moving_in(self, image: RgbdImage, known: Semantics) -> np.ndarray:
+    def moving_in(self, image: Image, known: Semantics) -> np.ndarray:
         """Return the pixels (H, W) of the objects that move; all of them where there is nothing to compare with."""
         if self.last is None or not known.has_any:
             return known.movable

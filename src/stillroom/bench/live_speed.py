@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from statistics import median
 from typing import Any
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from stillroom.bench.trial import attempt
 from stillroom.config import SlamConfig
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image
 from stillroom.datasets.recording import DatasetView
 from stillroom.errors import FrameError
 from stillroom.evaluation.timing import processor
@@ -37,14 +37,14 @@ class InMemory(DatasetView):
     def __init__(self, inner: Dataset) -> None:
         """Read all images."""
         super().__init__(inner)
-        self._images: list[RgbdImage | FrameError] = []
+        self._images: list[Image | FrameError] = []
         for place in range(len(inner)):
             try:
                 self._images.append(inner.load(place))
             except FrameError as error:
                 self._images.append(error)
 
-    def load(self, index: int) -> RgbdImage:
+    def load(self, index: int) -> Image:
         """Return an image; what was computed of it in an earlier run is not there any more.
 
         Raises:
@@ -56,7 +56,7 @@ class InMemory(DatasetView):
         image = self._images[index]
         if isinstance(image, FrameError):
             raise image
-        return replace(image)
+        return image.at(image.index, image.timestamp_s)
 
     @property
     def rate_hz(self) -> float:
@@ -66,7 +66,7 @@ class InMemory(DatasetView):
 
     def unit_ms(self) -> float:
         """Return the mean wall time [ms] of one `cv2.ORB_create(1000).detectAndCompute`, over images from all over."""
-        images = [image for image in self._images if isinstance(image, RgbdImage)]
+        images = [image for image in self._images if isinstance(image, Image)]
         grays = [cv2.cvtColor(image.rgb, cv2.COLOR_RGB2GRAY) for image in images[:: max(1, len(images) // UNIT_IMAGES)]]
         orb = cv2.ORB.create(1000)
         orb.detectAndCompute(grays[0], None)  # the first call allocates

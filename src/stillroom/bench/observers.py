@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from stillroom.bounds import in_pixels_of
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image
 from stillroom.data.map.jumps import JumpFollower
 from stillroom.data.matches import Matches
 from stillroom.data.motion import Stage
@@ -75,8 +75,8 @@ class Shown:
         mask: What the network masked (H, W); None without a network.
     """
 
-    image: RgbdImage
-    earlier: RgbdImage
+    image: Image
+    earlier: Image
     findings: Findings
     found: SearchResult
     ants: ReverseSearchConfig
@@ -104,7 +104,7 @@ class GeometryObserver:
         self._jumps = JumpFollower()
         self._searches = {test: self._new_searches() for test in (HOMOGRAPHY, MULTI_VIEW)}
         self._searches[PRINTED] = {ANTS: config.printed.ants.build(seed)}
-        self._images: deque[RgbdImage] = deque(maxlen=KEPT_IMAGES)
+        self._images: deque[Image] = deque(maxlen=KEPT_IMAGES)
         self._most = 0
         self.comparisons: dict[tuple[str, str], list[SearchComparison]] = {}
         self.shown: Shown | None = None

@@ -13,7 +13,7 @@ import numpy as np
 
 from stillroom.bench.trial import attempt
 from stillroom.config import SlamConfig
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image
 from stillroom.data.trajectory import Trajectory
 from stillroom.datasets.recording import DatasetView
 from stillroom.evaluation.report import percent
@@ -156,7 +156,7 @@ class UnitMeter(DatasetView):
         """None, for the same reason."""
         return None
 
-    def load(self, index: int) -> RgbdImage:
+    def load(self, index: int) -> Image:
         """Return an image of the sequence.
 
         Raises:
@@ -168,7 +168,7 @@ class UnitMeter(DatasetView):
         self._n_loaded += 1
         return image
 
-    def _measure(self, image: RgbdImage) -> None:
+    def _measure(self, image: Image) -> None:
         gray = cv2.cvtColor(image.rgb, cv2.COLOR_RGB2GRAY)  # not image.gray: the run shall make its own
         if not self.cpu_ms:
             self._orb.detectAndCompute(gray, None)  # the first call allocates

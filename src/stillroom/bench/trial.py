@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from stillroom.config import SlamConfig
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image
 from stillroom.data.result import FrameSummary
 from stillroom.data.semantics import Semantics
 from stillroom.data.trajectory import Trajectory
@@ -226,7 +226,7 @@ class NotingSegmenter:
         self._inner = inner
         self.occupied: set[int] = set()
 
-    def __call__(self, image: RgbdImage) -> Semantics:
+    def __call__(self, image: Image) -> Semantics:
         """Return the other's result."""
         semantics = self._inner(image)
         if semantics.has_any:
@@ -241,7 +241,7 @@ class NotingKeyframeSegmenter(NotingSegmenter):
         super().__init__(inner)
         self._see = inner.see
 
-    def see(self, image: RgbdImage) -> Semantics:
+    def see(self, image: Image) -> Semantics:
         """Return what the other finds in a keyframe."""
         semantics = self._see(image)
         if semantics.has_any:

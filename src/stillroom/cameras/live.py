@@ -9,6 +9,7 @@ from typing import Any, Protocol, Self
 import numpy as np
 
 from stillroom.data.image import RgbdImage
+from stillroom.data.sensor import Sensor
 from stillroom.datasets.image_sequence import depth_in_metres
 from stillroom.errors import CameraError, FrameError, MissingExtraError
 from stillroom.geometry.arrays import U8, U16
@@ -75,6 +76,7 @@ class LiveCamera:
     """A device as a `CameraStream`."""
 
     comes_in_time = True
+    sensor = Sensor.RGBD
     groundtruth = None
     groundtruth_at_camera = None
 

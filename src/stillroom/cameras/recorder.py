@@ -19,7 +19,7 @@ from typing import Self, TextIO
 import cv2
 import numpy as np
 
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image
 from stillroom.data.replacing import cannot_be_written
 from stillroom.data.trajectory import Trajectory
 from stillroom.datasets.bonn import NAME_PREFIX
@@ -59,7 +59,7 @@ class TumRecorder:
         """
         self.n_written = self.n_dropped = self.n_not_later = 0
         self._folder, self._stream = folder, camera
-        self._queue: queue.Queue[RgbdImage | None] = queue.Queue(length)
+        self._queue: queue.Queue[Image | None] = queue.Queue(length)
         self._writer = threading.Thread(target=self._write_all, name="recorder")
         self._lists: dict[str, TextIO] = {}
         self._last_s = -np.inf
@@ -100,7 +100,7 @@ class TumRecorder:
         if error is None:
             self._require_no_error()
 
-    def keep(self, image: RgbdImage) -> bool:
+    def keep(self, image: Image) -> bool:
         """Hand an image to the writer; return whether it will be written.
 
         Raises:
@@ -142,7 +142,7 @@ class TumRecorder:
                 except (cv2.error, MemoryError) as error:
                     self._error = StillroomError(f"{self._folder}: an image cannot be written ({error})")
 
-    def _write(self, image: RgbdImage) -> None:
+    def _write(self, image: Image) -> None:
         name = f"{image.timestamp_s:.6f}"
         if (self._folder / "rgb" / f"{name}.png").exists():  # two images within a microsecond
             name = repr(image.timestamp_s)
@@ -161,7 +161,7 @@ class TumRecorder:
             lines.close()
 
 
-def depth_in_units(image: RgbdImage, depth_factor: float) -> U16:
+def depth_in_units(image: Image, depth_factor: float) -> U16:
     """Return depth (H, W) uint16 in units of 1/depth_factor m; 0 where it is unknown or more than 16 bits hold."""
     units = np.rint(image.depth_m * np.float32(depth_factor))
     units[units >= MOST_UNITS] = 0.0

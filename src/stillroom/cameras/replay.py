@@ -12,7 +12,8 @@ from typing import Self
 
 from stillroom.cameras.faults import Faults
 from stillroom.cameras.kind import CameraKind
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image
+from stillroom.data.sensor import Sensor
 from stillroom.data.trajectory import Trajectory
 from stillroom.datasets.open import open_dataset
 from stillroom.datasets.recording import groundtruth_flaw
@@ -46,6 +47,11 @@ class ReplayCamera:
     def name(self) -> str:
         """Name of the data set."""
         return self._dataset.name
+
+    @property
+    def sensor(self) -> Sensor:
+        """What kind of camera took the images."""
+        return self._dataset.sensor
 
     @property
     def camera(self) -> Camera:
@@ -83,7 +89,7 @@ class ReplayCamera:
         """Deliver nothing more."""
         self._coming = iter(())
 
-    def next(self) -> RgbdImage | None:
+    def next(self) -> Image | None:
         """Return the next image at once; None after the last one.
 
         Raises:

@@ -23,6 +23,7 @@ from stillroom.dense.no_dense_map import NoDenseMapConfig
 from stillroom.dynamics.chain import KeepAllConfig, KeepAllKeypointsConfig
 from stillroom.features.orb import OrbConfig
 from stillroom.features.places.place_index import PlacesConfig
+from stillroom.features.stereo_matching import StereoConfig
 from stillroom.loops.joining import JoiningConfig
 from stillroom.loops.loop_closer import LoopsConfig
 from stillroom.mapping.local_mapper import LocalMapperConfig
@@ -32,6 +33,7 @@ from stillroom.semantics.no_segmenter import NothingConfig
 from stillroom.storage.keeper import MapKeeperConfig
 from stillroom.tracking.keyframe_policy import KeyframePolicyConfig
 from stillroom.tracking.low_cost import NoLowCostConfig
+from stillroom.tracking.monocular import MonocularConfig
 from stillroom.tracking.relocalizer import RelocalizerConfig
 from stillroom.tracking.tracker import TrackerConfig
 
@@ -50,6 +52,8 @@ class SlamConfig:
         low_cost: Low-cost tracking: a pose before the tracking stages, for geometry to start from; `kind` chooses the
             part.
         features: Keypoints.
+        stereo: Depth of keypoints from pairs of images, with a stereo camera.
+        monocular: How a map is begun with a single camera.
         places: The bag-of-words index of keyframes, for place recognition.
         tracking, recovery, keyframes, mapping, loops: ORB-SLAM2's parts.
         joining: When sub-maps are merged.
@@ -66,6 +70,8 @@ class SlamConfig:
     dynamics: MatchSieveConfig = field(default_factory=KeepAllConfig, metadata={"kinds": DYNAMICS})
     low_cost: QuickTrackingConfig = field(default_factory=NoLowCostConfig, metadata={"kinds": LOW_COST})
     features: OrbConfig = field(default_factory=OrbConfig)
+    stereo: StereoConfig = field(default_factory=StereoConfig)
+    monocular: MonocularConfig = field(default_factory=MonocularConfig)
     places: PlacesConfig = field(default_factory=PlacesConfig)
     tracking: TrackerConfig = field(default_factory=TrackerConfig)
     recovery: RelocalizerConfig = field(default_factory=RelocalizerConfig)

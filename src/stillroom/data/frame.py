@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image
 from stillroom.geometry.arrays import F32, F64, I32, U8, Bool
 from stillroom.geometry.camera import Camera
 
@@ -75,7 +75,7 @@ class Frame:
         is_static: Which keypoints (N,) sieve 1 classifies as static; all true before it is applied.
     """
 
-    image: RgbdImage
+    image: Image
     camera: Camera
     scales: ScaleLevels
     keypoints: Keypoints

@@ -7,7 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image, RgbdImage
 from stillroom.data.trajectory import Trajectory, read_tum
 from stillroom.datasets.camera_file import choose_camera, choose_range
 from stillroom.datasets.listing import Listing
@@ -162,7 +162,7 @@ class ImageSequence(Recording):
     groundtruth_flaw: str = ""
     range_m: float = np.inf
 
-    def load(self, index: int) -> RgbdImage:
+    def load(self, index: int) -> Image:
         """Read image `index`.
 
         Raises:

@@ -6,7 +6,8 @@ from typing import cast
 
 import numpy as np
 
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image
+from stillroom.data.sensor import Sensor
 from stillroom.data.trajectory import Trajectory
 from stillroom.errors import FrameError
 from stillroom.geometry.arrays import F64, I64
@@ -16,7 +17,7 @@ from stillroom.protocols import Dataset, KnownScene, Origin, RenderedDataset
 log = logging.getLogger(__name__)
 
 
-def readable_images(dataset: Dataset) -> Iterator[RgbdImage]:
+def readable_images(dataset: Dataset) -> Iterator[Image]:
     """Yield the images of a data set in order; those that cannot be used are left out with a warning each."""
     for place in range(len(dataset)):
         try:
@@ -47,7 +48,8 @@ class Recording:
 
     Attributes:
         name: Short name, used for the results folder.
-        camera: The calibration in force.
+        sensor: What kind of camera takes the images; RGB-D unless a subclass says otherwise.
+        camera: The calibration in force; that of the rectified left images of stereo pairs.
         camera_source: One line that says where the calibration comes from.
         timestamps_s: Times of the colour images (N,) float64 [s], strictly increasing.
         groundtruth: True poses as the data set gives them.
@@ -62,6 +64,7 @@ class Recording:
     camera: Camera
     camera_source: str
     timestamps_s: F64
+    sensor: Sensor = Sensor.RGBD
     groundtruth: Trajectory | None = None
     groundtruth_at_camera: Trajectory | None = None
     is_reversed: bool = False
@@ -82,7 +85,7 @@ class Recording:
         """Number of images."""
         return len(self.timestamps_s)
 
-    def __iter__(self) -> Iterator[RgbdImage]:
+    def __iter__(self) -> Iterator[Image]:
         """Yield the images in order; those that cannot be used are left out with a warning each."""
         return readable_images(cast(Dataset, self))
 
@@ -110,6 +113,11 @@ class DatasetView:
     def name(self) -> str:
         """Name of the original."""
         return self._inner.name
+
+    @property
+    def sensor(self) -> Sensor:
+        """What kind of camera takes the images."""
+        return self._inner.sensor
 
     @property
     def camera(self) -> Camera:
@@ -165,11 +173,11 @@ class DatasetView:
         """Number of images."""
         return len(self._inner)
 
-    def __iter__(self) -> Iterator[RgbdImage]:
+    def __iter__(self) -> Iterator[Image]:
         """Yield the images in order; those that cannot be used are left out with a warning each."""
         return readable_images(self)
 
-    def load(self, index: int) -> RgbdImage:
+    def load(self, index: int) -> Image:
         """Return image `index`.
 
         Raises:

@@ -1,12 +1,10 @@
 """A part of a sequence, or one with frames taken away, blacked out or played backwards: `run --frames` and the like."""
 
 from collections.abc import Iterable
-from dataclasses import replace
 
 import numpy as np
 
-from stillroom.data.image import RgbdImage
-from stillroom.data.semantics import nothing
+from stillroom.data.image import Image
 from stillroom.data.trajectory import Trajectory
 from stillroom.datasets.recording import DatasetView, unpaired_s
 from stillroom.errors import ConfigError
@@ -17,7 +15,7 @@ from stillroom.protocols import Dataset
 class Selected(DatasetView):
     """A `Dataset` that shows some of another's images.
 
-    Images keep the numbers they have in the original sequence, in `RgbdImage.index` and in every range, also when
+    Images keep the numbers they have in the original sequence, in `Image.index` and in every range, also when
     selections are stacked. Where they stand here is what `load` counts.
     """
 
@@ -53,7 +51,7 @@ class Selected(DatasetView):
         """Number of images shown."""
         return len(self._kept)
 
-    def load(self, index: int) -> RgbdImage:
+    def load(self, index: int) -> Image:
         """Return the image at place `index` here, with its original number.
 
         Raises:
@@ -63,10 +61,7 @@ class Selected(DatasetView):
         if not 0 <= index < len(self):
             raise IndexError(f"{self.name}: no image {index} in the selection; there are {len(self)}, from 0")
         image = self._inner.load(int(self._kept[index]))
-        if image.index not in self._blackout:
-            return image
-        black_truth = None if image.truth is None else nothing(image.height, image.width)
-        return replace(image, rgb=np.zeros_like(image.rgb), depth_m=np.zeros_like(image.depth_m), truth=black_truth)
+        return image.black() if image.index in self._blackout else image
 
 
 class Reversed(DatasetView):
@@ -112,7 +107,7 @@ class Reversed(DatasetView):
         """Whether the images are played backwards; twice backwards is forwards."""
         return not self._inner.is_reversed
 
-    def load(self, index: int) -> RgbdImage:
+    def load(self, index: int) -> Image:
         """Return the image at place `index` from the end, with the number and the time that it has here.
 
         Raises:
@@ -123,7 +118,7 @@ class Reversed(DatasetView):
             raise IndexError(f"{self.name}: no image {index} in the sequence; there are {len(self)}, from 0")
         image = self._inner.load(len(self) - 1 - index)
         number = self.original_length - 1 - image.index
-        return replace(image, index=number, timestamp_s=float(self._timestamps_s[index]))
+        return image.at(number, float(self._timestamps_s[index]))
 
     def _mirrored(self, forward: Trajectory | None) -> Trajectory | None:
         if forward is None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from stillroom.bounds import bounded
 from stillroom.compiled import njit
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image
 from stillroom.data.map import Map
 from stillroom.dense.keyframe_cloud import UNIT_M, SurfaceConfig, in_units
 from stillroom.dense.voxels.evidence_kernels import (
@@ -295,9 +295,7 @@ class Carver:
         T_cam_world = se3.inverse(T_world_cam)
         return in_frustum(centres_m, self.voxels.block_radius_m, T_cam_world, self._lens, self._size_px, self._far_m)
 
-    def judge_keyframe(
-        self, keyframe: int, image: RgbdImage, excluded: Bool | None, T_world_cam: F64, now: int
-    ) -> None:
+    def judge_keyframe(self, keyframe: int, image: Image, excluded: Bool | None, T_world_cam: F64, now: int) -> None:
         """Remove from the map what is dynamic in a keyframe, and carve with it if it is due.
 
         Args:
@@ -318,7 +316,7 @@ class Carver:
         self._witnesses.remember(keyframe, np.eye(4), T_world_cam, depth)
 
     def judge_frame(
-        self, keyframe: int, T_keyframe_cam: F64, image: RgbdImage, excluded: Bool | None, T_world_cam: F64, now: int
+        self, keyframe: int, T_keyframe_cam: F64, image: Image, excluded: Bool | None, T_world_cam: F64, now: int
     ) -> bool:
         """Carve with a frame if it is due; return whether it was.
 
@@ -351,7 +349,7 @@ class Carver:
             judge_rows(rows, positions_m, voxels.rows, view, self._seeing, self._scoring, heard)
         voxels.score[rows[~heard]] = 1  # no earlier image contradicts these
 
-    def remove_near_moving(self, image: RgbdImage, excluded: Bool, T_world_cam: F64, now: int) -> None:
+    def remove_near_moving(self, image: Image, excluded: Bool, T_world_cam: F64, now: int) -> None:
         """Empty all voxels near the dynamic pixels (H, W) of a keyframe that was fused whole; other arguments as above.
 
         OC-SLAM 2.6.

@@ -8,7 +8,7 @@ import numpy as np
 
 from stillroom.bounds import bounded, check
 from stillroom.data.dense_cloud import DenseCloud
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image
 from stillroom.data.map import Map, submaps
 from stillroom.dense.carving import Carver, CarvingConfig
 from stillroom.dense.cloud_store import CloudStore
@@ -167,7 +167,7 @@ class DenseMapper:
         """Memory that is held."""
         return self.voxels.n_bytes + self._clouds.n_bytes + self._carver.n_bytes
 
-    def integrate(self, keyframe: int, image: RgbdImage, excluded: Bool | None = None) -> None:
+    def integrate(self, keyframe: int, image: Image, excluded: Bool | None = None) -> None:
         """Fuse a new keyframe's static pixels, and remove what it shows to be dynamic or gone.
 
         Args:
@@ -191,7 +191,7 @@ class DenseMapper:
         self._correct_some(self.config.corrections)
         self._keep_within_bound(T_world_cam)
 
-    def carve(self, image: RgbdImage, T_world_cam: F64, excluded: Bool | None = None) -> None:
+    def carve(self, image: Image, T_world_cam: F64, excluded: Bool | None = None) -> None:
         """Carve free space with a frame that is no keyframe; called for every frame, used at a stride.
 
         Args:
@@ -236,7 +236,7 @@ class DenseMapper:
             shown &= submaps.lies_in(main, centres_m)
         return extract(key[shown], rows[shown], config.voxel_m, config.layer_voxels)
 
-    def _fuse(self, view: int, image: RgbdImage, excluded: Bool | None, T_world_cam: F64) -> None:
+    def _fuse(self, view: int, image: Image, excluded: Bool | None, T_world_cam: F64) -> None:
         self._bring_back_in_view(T_world_cam)
         cloud, normals = self._maker.make(image, excluded if self.config.carving.scores else None)
         self._put_in(view, cloud, normals, T_world_cam)

@@ -8,7 +8,7 @@ import numpy as np
 
 from stillroom.bounds import bounded, check, in_pixels_of
 from stillroom.data.dense_cloud import DenseCloud
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image
 from stillroom.data.map import Map
 from stillroom.dense.inpainting_kernels import Canvas, Cubes, Paint, Surface, splat_cloud, splat_colour, splat_depth
 from stillroom.geometry import se3
@@ -29,7 +29,7 @@ NEAR_M, FAR_M = 0.5, 10.0
 # How much brighter a frame is than a keyframe: cameras set their exposure and white balance as people come and go.
 
 
-def gains(rgb: U8, depth_m: F32, rays: F32, T_here_there: F64, camera: Camera, here: RgbdImage, still: Bool) -> F32:
+def gains(rgb: U8, depth_m: F32, rays: F32, T_here_there: F64, camera: Camera, here: Image, still: Bool) -> F32:
     """Return what a keyframe's red, green and blue are multiplied by to look as in a frame (3,); ones where unknown.
 
     The median over a grid of the keyframe's pixels that the frame shows at the same depth, neither black nor white.
@@ -142,13 +142,13 @@ class BackgroundPainter:
         """How many keyframes are kept."""
         return len(self._seen)
 
-    def remember(self, keyframe: int, image: RgbdImage, moving: Bool) -> None:
+    def remember(self, keyframe: int, image: Image, moving: Bool) -> None:
         """Keep a keyframe of the map, without its dynamic pixels (H, W)."""
         usable = ~grown(moving, self.config.margin_px, Shape.SQUARE)
         self._seen.append(_KeyframeImage(keyframe, image.rgb, np.where(usable, image.depth_m, np.float32(0))))
 
     def paint(
-        self, image: RgbdImage, T_world_cam: F64, moving: Bool, world: Map, cloud: DenseCloud | None = None
+        self, image: Image, T_world_cam: F64, moving: Bool, world: Map, cloud: DenseCloud | None = None
     ) -> Painted:
         """Return the frame without what moves.
 
@@ -174,7 +174,7 @@ class BackgroundPainter:
         holes = moving & ~is_filled
         return Painted(_closed(rgb, holes, self.config.close_px), depth_m, is_filled, holes)
 
-    def _gathered(self, image: RgbdImage, wanted: Bool, T_world_cam: F64, world: Map) -> F32:
+    def _gathered(self, image: Image, wanted: Bool, T_world_cam: F64, world: Map) -> F32:
         """Return sums over what falls on each pixel; see `splat_colour`."""
         views = [(seen, se3.inverse(T_world_cam) @ world.keyframe_pose(seen.keyframe)) for seen in self._seen]
         nearest_m = np.full(wanted.shape, np.inf, dtype=np.float32)
@@ -189,7 +189,7 @@ class BackgroundPainter:
             splat_colour(surface, paint, lens, least_m, self.config.same_share, nearest_m, total)
         return total
 
-    def _gain(self, seen: _KeyframeImage, T_here_there: F64, image: RgbdImage, wanted: Bool) -> F32:
+    def _gain(self, seen: _KeyframeImage, T_here_there: F64, image: Image, wanted: Bool) -> F32:
         """Return what a keyframe's red, green and blue are multiplied by (3,)."""
         if not self.config.match_brightness:
             return np.ones(3, dtype=np.float32)

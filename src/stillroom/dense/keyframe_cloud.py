@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from stillroom.bounds import bounded
 from stillroom.compiled import njit
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image
 from stillroom.geometry.arrays import F32, I32, U8, U16, Bool
 from stillroom.geometry.camera import Camera
 from stillroom.geometry.pixels import Shape, element
@@ -201,7 +201,7 @@ class CloudMaker:
         """Rows and columns of the clouds."""
         return self.rays.shape[0], self.rays.shape[1]
 
-    def make(self, image: RgbdImage, excluded: Bool | None) -> tuple[KeyframeCloud, I8]:
+    def make(self, image: Image, excluded: Bool | None) -> tuple[KeyframeCloud, I8]:
         """Return the cloud of an image and the normals of its usable pixels (h, w, 3).
 
         Args:

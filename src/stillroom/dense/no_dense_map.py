@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from stillroom.data.dense_cloud import DenseCloud
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image
 from stillroom.geometry.arrays import F64, Bool
 from stillroom.protocols import Parts
 
@@ -20,10 +20,10 @@ class NoDenseMapConfig:
 class NoDenseMap:
     """Ignores every frame, so that no caller has to check whether there is a dense map."""
 
-    def integrate(self, keyframe: int, image: RgbdImage, excluded: Bool | None = None) -> None:
+    def integrate(self, keyframe: int, image: Image, excluded: Bool | None = None) -> None:
         """Do nothing."""
 
-    def carve(self, image: RgbdImage, T_world_cam: F64, excluded: Bool | None = None) -> None:
+    def carve(self, image: Image, T_world_cam: F64, excluded: Bool | None = None) -> None:
         """Do nothing."""
 
     def refresh(self) -> None:

@@ -18,7 +18,7 @@ import numpy as np
 
 from stillroom.bounds import bounded, check
 from stillroom.data.dense_cloud import DenseCloud
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image
 from stillroom.data.map import submaps
 from stillroom.dense.cloud_store import CloudStore
 from stillroom.dense.dense_mapper import MB, FusedViews
@@ -121,7 +121,7 @@ class OctoMap:
         """Memory that is held."""
         return self.grid.n_bytes + self.hits.n_bytes + self._clouds.n_bytes
 
-    def integrate(self, keyframe: int, image: RgbdImage, excluded: Bool | None = None) -> None:
+    def integrate(self, keyframe: int, image: Image, excluded: Bool | None = None) -> None:
         """Insert a new keyframe's rays.
 
         Args:
@@ -136,7 +136,7 @@ class OctoMap:
         view = self._view_of[keyframe] = self._views.new(keyframe, np.eye(4))
         self._put_in(view, self._cloud_of(image, excluded), T_world_cam)
 
-    def carve(self, image: RgbdImage, T_world_cam: F64, excluded: Bool | None = None) -> None:
+    def carve(self, image: Image, T_world_cam: F64, excluded: Bool | None = None) -> None:
         """Do nothing: the papers' maps are made of keyframes alone."""
 
     def refresh(self) -> None:
@@ -173,7 +173,7 @@ class OctoMap:
         self.hits = VoxelMap(self.config.resolution_m)
         self._n_scans, self._is_stale = 0, False
 
-    def _cloud_of(self, image: RgbdImage, excluded: Bool | None) -> KeyframeCloud:
+    def _cloud_of(self, image: Image, excluded: Bool | None) -> KeyframeCloud:
         """Return the pixels of an image whose rays count, whatever their range."""
         config, stride = self.config, self.config.stride
         depth = in_units(image.depth_m, stride)

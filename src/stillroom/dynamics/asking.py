@@ -11,7 +11,7 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from stillroom.data.frame import Frame
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image
 from stillroom.data.map import Map
 from stillroom.data.map.jumps import JumpFollower
 from stillroom.data.motion import Motion, Stage
@@ -91,19 +91,19 @@ class ImageMemory(Generic[T]):
             reach_m, reach_rad: Poses so close to each other count as the same.
         """
         self._reach = reach_m, reach_rad
-        self._kept: tuple[RgbdImage, F64, T] | None = None
+        self._kept: tuple[Image, F64, T] | None = None
 
-    def of(self, image: RgbdImage) -> T | None:
+    def of(self, image: Image) -> T | None:
         """Return what was computed for an image, at any pose; None if nothing."""
         return self._kept[2] if self._kept is not None and self._kept[0] is image else None
 
-    def near(self, image: RgbdImage, T_cam_world: F64) -> T | None:
+    def near(self, image: Image, T_cam_world: F64) -> T | None:
         """Return what was computed for an image at nearly this pose (4, 4); None if nothing."""
         if self._kept is None or self._kept[0] is not image:
             return None
         return self._kept[2] if se3.are_near(self._kept[1], T_cam_world, *self._reach) else None
 
-    def keep(self, image: RgbdImage, T_cam_world: F64, worked_out: T) -> T:
+    def keep(self, image: Image, T_cam_world: F64, worked_out: T) -> T:
         """Keep what was computed for an image at a pose (4, 4), replacing older entries; return it."""
         self._kept = image, T_cam_world.copy(), worked_out
         return worked_out

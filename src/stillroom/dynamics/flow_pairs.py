@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from stillroom.data.frame import Frame
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image
 from stillroom.features.optical_flow import OpticalFlow
 from stillroom.geometry.arrays import F32, F64, Bool
 from stillroom.geometry.epipolar import line_distances_px
@@ -56,7 +56,7 @@ def flow_of(window_px: int, levels: int) -> OpticalFlow:
     return OpticalFlow(max(LEAST_WINDOW_PX, window_px), levels)
 
 
-def followed_back(frame: Frame, last: RgbdImage, flow: OpticalFlow) -> FlowPairs:
+def followed_back(frame: Frame, last: Image, flow: OpticalFlow) -> FlowPairs:
     """Follow every keypoint of a frame back into the last image, matched or not, so that each can be judged itself."""
     raw_px = frame.keypoints.raw_px
     then_raw_px, is_found = flow.follow(frame.image.gray, last.gray, raw_px)
@@ -65,7 +65,7 @@ def followed_back(frame: Frame, last: RgbdImage, flow: OpticalFlow) -> FlowPairs
     return FlowPairs(then_px, frame.keypoints.px.astype(np.float64), then_raw_px, is_found)
 
 
-def inside(raw_px: F32, image: RgbdImage, margin_px: int) -> Bool:
+def inside(raw_px: F32, image: Image, margin_px: int) -> Bool:
     """Return which points (N, 2) lie in an image, and not within a margin of its edge."""
     x, y = raw_px.T
     right, lower = image.width - 1 - margin_px, image.height - 1 - margin_px

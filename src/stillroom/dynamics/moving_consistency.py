@@ -8,7 +8,7 @@ import numpy as np
 
 from stillroom.bounds import bounded, check
 from stillroom.data.frame import Frame
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image
 from stillroom.data.motion import Motion
 from stillroom.data.question import Question
 from stillroom.data.semantics import Instance, Semantics, union_of
@@ -79,7 +79,7 @@ class MovingConsistency:
         self.config = config
         self._flow = flow_of(config.window_px, config.levels)
         self._ransac = usac(config.inlier_px, seed, confidence=0.99, magsac=False)
-        self._last: RgbdImage | None = None
+        self._last: Image | None = None
         self._moving: ImageMemory[Bool] = ImageMemory()
 
     def judge(self, question: Question) -> Motion:
@@ -100,7 +100,7 @@ class MovingConsistency:
     def corrected(self, T_new_old: F64) -> None:
         """Do nothing: no pose is stored."""
 
-    def _moving_in(self, image: RgbdImage, found: Semantics, camera: Camera) -> Bool:
+    def _moving_in(self, image: Image, found: Semantics, camera: Camera) -> Bool:
         """Return the pixels (H, W) of the segments that move."""
         last = self._last
         is_young = last is not None and image.timestamp_s - last.timestamp_s <= TOO_OLD_S
@@ -115,7 +115,7 @@ class MovingConsistency:
             return found.movable
         return union_of(moving, image.height, image.width)
 
-    def _outliers_px(self, last: RgbdImage, image: RgbdImage, camera: Camera) -> F32 | None:
+    def _outliers_px(self, last: Image, image: Image, camera: Camera) -> F32 | None:
         """Return where in the image as taken (O, 2) [px] points are off their lines; None where there are no lines."""
         then_px, now_px = self._followed(last, image, camera.in_pixels(_SUBPIXEL_REACH_PX))
         pairs = FlowPairs(
@@ -130,7 +130,7 @@ class MovingConsistency:
         F_now_then = pairs.lines_of(~pairs.off_lines(first, self.config.inlier_px), self._ransac)
         return None if F_now_then is None else now_px[pairs.off_lines(F_now_then, self.config.line_px)]
 
-    def _followed(self, last: RgbdImage, image: RgbdImage, reach_px: int) -> tuple[F32, F32]:
+    def _followed(self, last: Image, image: Image, reach_px: int) -> tuple[F32, F32]:
         """Return corners of the last image (P, 2) and where they are in this one (P, 2) [px, as taken].
 
         Args:

@@ -6,7 +6,7 @@ import numpy as np
 
 from stillroom.bounds import bounded, check
 from stillroom.data.frame import Frame, Keypoints
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image
 from stillroom.data.motion import Motion
 from stillroom.data.question import Question
 from stillroom.data.semantics import Semantics, filled
@@ -60,7 +60,7 @@ class SemanticFlow:
         self.config = config
         self._flow = flow_of(config.window_px, config.levels)
         self._usac = usac(config.inlier_px, seed, confidence=0.99)
-        self._last: tuple[RgbdImage, Bool] | None = None
+        self._last: tuple[Image, Bool] | None = None
         self._said: tuple[Keypoints, Semantics, Bool, Motion] | None = None
 
     def judge(self, question: Question) -> Motion:

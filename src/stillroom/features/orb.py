@@ -9,8 +9,9 @@ import numpy as np
 from stillroom.bounds import bounded
 from stillroom.compiled import njit
 from stillroom.data.frame import Frame, Keypoints, ScaleLevels
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image
 from stillroom.features.corners import Corners, detect, spread
+from stillroom.features.keypoint_depth import KeypointDepth, RegisteredDepth
 from stillroom.geometry.arrays import F32, F64, I32, I64, U8, U16, Bool
 from stillroom.geometry.camera import Camera
 from stillroom.protocols import Parts
@@ -210,20 +211,24 @@ class OrbConfig:
         """Return the pyramid over images of a camera: its finest level is 640 pixels long."""
         return ScaleLevels(self.scale_factor, self.n_levels, camera.pixel_scale)
 
-    def build(self, parts: Parts) -> "OrbExtractor":
-        """Return the extractor for a camera."""
-        return OrbExtractor(self, parts.camera, parts.seed)
+    def registered_depth(self, camera: Camera) -> RegisteredDepth:
+        """Return what reads the depth of keypoints in a camera's depth images."""
+        return RegisteredDepth(camera, self.min_depth_m, self.max_depth_m)
+
+    def build(self, parts: Parts, depth: KeypointDepth | None = None) -> "OrbExtractor":
+        """Return the extractor for a camera; where `depth` is not given, depth images are read."""
+        return OrbExtractor(self, parts.camera, parts.seed, depth)
 
 
 class OrbExtractor:
     """Finds ORB keypoints in images of one camera."""
 
-    def __init__(self, config: OrbConfig, camera: Camera, seed: int = 0) -> None:
-        """Prepare quotas and tables."""
+    def __init__(self, config: OrbConfig, camera: Camera, seed: int = 0, depth: KeypointDepth | None = None) -> None:
+        """Prepare quotas and tables; where `depth` is not given, depth images are read."""
         self.config, self.camera, self.seed = config, camera, seed
+        self._depth = config.registered_depth(camera) if depth is None else depth
         self.scales = config.scales(camera)
         self._disc = disc_weights()
-        self._range_m = np.float32(config.min_depth_m), np.float32(config.max_depth_m)
         shares = self.scales.factors**-1.0
         self._quotas = [int(q) for q in np.rint(config.n_features * shares / shares.sum())]
         self._sizes = [(max(1, round(camera.width / f)), max(1, round(camera.height / f))) for f in self.scales.factors]
@@ -232,7 +237,7 @@ class OrbExtractor:
         # The level, and it blurred once and twice. New ones for every image would cost as much as a level's corners.
         self._scratch = [np.empty((3, height_px, width_px), np.uint8) for width_px, height_px in self._sizes]
 
-    def extract(self, image: RgbdImage) -> Frame:
+    def extract(self, image: Image) -> Frame:
         """Return the frame of the image; a black image gives zero keypoints."""
         levels = self._pyramid(image.gray)
         corners = detect(levels, self.config.usual_score, BORDER_PX)
@@ -241,18 +246,18 @@ class OrbExtractor:
         chosen = spread(corners, self._sizes, self._quotas, self.config.strong_score, self.seed)
         angle_rad, descriptors = self._describe(levels, corners, chosen)
         raw_px = self._to_finest_level(corners, chosen)
-        px = self.camera.undistort(raw_px)
-        depth_m = depth_at(image.depth_m, raw_px, *self._range_m)
-        keypoints = Keypoints(
-            px=px,
+        n = len(raw_px)
+        found = Keypoints(
+            px=self.camera.undistort(raw_px),
             raw_px=raw_px,
             octave=corners.level[chosen],
             angle_rad=angle_rad,
             descriptors=descriptors,
-            depth_m=depth_m,
-            right_px=self.camera.right_coordinate(px[:, 0], depth_m),
+            depth_m=np.zeros(n, dtype=np.float32),
+            right_px=np.full(n, -1.0, dtype=np.float32),
         )
-        return Frame(image, self.camera, self.scales, keypoints, np.ones(len(px), dtype=np.bool_))
+        keypoints = self._depth.measured(image, levels, found)
+        return Frame(image, self.camera, self.scales, keypoints, np.ones(n, dtype=np.bool_))
 
     def _pyramid(self, gray: U8) -> list[U8]:
         levels = [_at_usual_size(gray, self._sizes[0])]
@@ -281,16 +286,3 @@ class OrbExtractor:
         """Return positions (K, 2) in the image as taken; pixel centres, not corners, are what a resize keeps."""
         ratio = self._ratios[corners.level[chosen]]
         return np.asarray((corners.px[chosen] + 0.5) * ratio - 0.5, dtype=np.float32)
-
-
-@njit(nogil=True, cache=True)
-def depth_at(depth_m: F32, raw_px: F32, min_m: np.float32, max_m: np.float32) -> F32:
-    """Return the depth (N,) at the nearest pixel, outside of the image at its edge; 0 where it is not in range."""
-    height, width = depth_m.shape
-    found_m = np.zeros(len(raw_px), np.float32)
-    for i in range(len(raw_px)):
-        column = min(max(int(np.rint(raw_px[i, 0])), 0), width - 1)
-        row = min(max(int(np.rint(raw_px[i, 1])), 0), height - 1)
-        if min_m <= depth_m[row, column] <= max_m:
-            found_m[i] = depth_m[row, column]
-    return found_m

@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image
 from stillroom.datasets.recording import unpaired_s
 from stillroom.errors import FrameError
 from stillroom.protocols import CameraStream, Dataset, Origin
@@ -22,14 +22,14 @@ class Arrival:
     """An image that is there, or can be read.
 
     Attributes:
-        number: Its number in its sequence, or among those that a camera has taken; `RgbdImage.index`.
+        number: Its number in its sequence, or among those that a camera has taken; `Image.index`.
         time_s: When it was taken [s]; NaN where a camera's image cannot be used and nobody knows.
         load: Returns it; raises FrameError where it cannot be used.
     """
 
     number: int
     time_s: float
-    load: Callable[[], RgbdImage] = field(repr=False)
+    load: Callable[[], Image] = field(repr=False)
 
 
 class Intake(Protocol):
@@ -168,8 +168,8 @@ def intake_of(source: Dataset | Intake) -> Intake:
     return source if isinstance(source, Recorded | Streamed) else Recorded(source)  # type: ignore[arg-type]
 
 
-def _unusable(error: FrameError) -> Callable[[], RgbdImage]:
-    def load() -> RgbdImage:
+def _unusable(error: FrameError) -> Callable[[], Image]:
+    def load() -> Image:
         raise error
 
     return load

@@ -10,7 +10,7 @@ from itertools import islice
 from types import TracebackType
 from typing import Protocol
 
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image
 from stillroom.errors import FrameError
 from stillroom.evaluation.timing import StageClock
 from stillroom.pipeline.intake import Arrival, Intake
@@ -36,7 +36,7 @@ class Delivered:
     """
 
     arrival: Arrival
-    image: RgbdImage | FrameError
+    image: Image | FrameError
     due_s: float
 
 
@@ -64,7 +64,7 @@ class Playback(Protocol):
             CameraError: The camera is gone.
         """
 
-    def following(self) -> list[RgbdImage]:
+    def following(self) -> list[Image]:
         """Return the images that will be delivered next, as far as they are there already."""
 
 
@@ -94,7 +94,7 @@ class InTurn:
                 image = _read(arrival)
             yield Delivered(arrival, image, time.perf_counter())
 
-    def following(self) -> list[RgbdImage]:
+    def following(self) -> list[Image]:
         """Return none: they are not read yet."""
         return []
 
@@ -162,13 +162,13 @@ class Paced:
             is_first = False
             yield delivered
 
-    def following(self) -> list[RgbdImage]:
+    def following(self) -> list[Image]:
         """Return the images that will be delivered next, as far as they are there already; they are not dropped."""
         with self._changed:
             # At their own times the last slot is left to the newest image.
             n = SLOTS - 1 if self._speed > 0 else MOST_BEGUN
             coming = [delivered.image for delivered in islice(self._ready, n)]
-            begun: list[RgbdImage] = []
+            begun: list[Image] = []
             for image in coming:
                 if isinstance(image, FrameError):
                     break
@@ -212,7 +212,7 @@ class Paced:
             return due_s
 
 
-def _read(arrival: Arrival) -> RgbdImage | FrameError:
+def _read(arrival: Arrival) -> Image | FrameError:
     try:
         return arrival.load()
     except FrameError as error:

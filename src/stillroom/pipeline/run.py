@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Protocol
 
 from stillroom.config import SlamConfig
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image
 from stillroom.data.replacing import replace_text
 from stillroom.data.result import FrameSummary, TrackingState
 from stillroom.data.trajectory import Trajectory
@@ -94,7 +94,7 @@ class Remarks:
         if self._n_unreadable == MAX_UNREADABLE:
             log.warning("further images that cannot be read are left out silently")
 
-    def frame(self, image: RgbdImage, result: FrameSummary) -> None:
+    def frame(self, image: Image, result: FrameSummary) -> None:
         """Log anomalies of an image, and where tracking is lost and resumes."""
         is_black, no_depth = self._seen.add(image)
         self._begins("black", is_black, "image %d is black", image.index)

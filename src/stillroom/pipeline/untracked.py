@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image
 from stillroom.data.result import FrameSummary
 
 BLACK_BELOW = 8
@@ -27,7 +27,7 @@ class Seen:
     n_black: int = 0
     n_without_depth: int = 0
 
-    def add(self, image: RgbdImage) -> tuple[bool, bool]:
+    def add(self, image: Image) -> tuple[bool, bool]:
         """Look at an image; return whether it is black, and whether it has no depth though it is not."""
         is_black = int(image.rgb.max()) < BLACK_BELOW
         is_blind = not is_black and not image.depth_m.any()

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from stillroom.bounds import bounded, check
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image
 from stillroom.data.semantics import Box, Semantics
 from stillroom.features.optical_flow import OpticalFlow
 from stillroom.geometry.arrays import F32, F64, U8, Bool, Floats
@@ -66,7 +66,7 @@ class Follower:
     min_points: int
     min_support: float
 
-    def begin(self, image: RgbdImage, edges: F64) -> FollowedBox:
+    def begin(self, image: Image, edges: F64) -> FollowedBox:
         """Start tracking a box in an image in which it was detected."""
         depth_m = _central_depth(image, edges)
         step_px = _in_pixels(DEPTH_STEP_PX, image)
@@ -74,7 +74,7 @@ class Follower:
         support = float(np.mean(self._near(inside, depth_m))) if inside.size and depth_m else 0.0
         return FollowedBox(edges, depth_m, support)
 
-    def follow(self, before: RgbdImage, now: RgbdImage, box: FollowedBox, drift_px: F64) -> FollowedBox | None:
+    def follow(self, before: Image, now: Image, box: FollowedBox, drift_px: F64) -> FollowedBox | None:
         """Return the box of the image before in this one; None where it is lost.
 
         Args:
@@ -96,7 +96,7 @@ class Follower:
             return None
         return FollowedBox(edges, float(np.median(inside[near])) if near.any() else box.depth_m, box.support)
 
-    def _flow(self, before: RgbdImage, now: RgbdImage, box: FollowedBox) -> F64 | None:
+    def _flow(self, before: Image, now: Image, box: FollowedBox) -> F64 | None:
         """Return the median motion (2,) [px] of the corners that lie in the box at its depth in both images."""
         around, times = _pixels(box.edges, before, _in_pixels(MARGIN_PX, before)), _in_pixels(SHRINK, before)
         old, new = _shrunk(before.gray[around], times), _shrunk(now.gray[around], times)
@@ -114,7 +114,7 @@ class Follower:
             return None
         return np.asarray(times * np.median((end - start)[good], axis=0), dtype=np.float64)
 
-    def _mask(self, image: RgbdImage, box: FollowedBox, around: tuple[slice, slice], times: int) -> U8:
+    def _mask(self, image: Image, box: FollowedBox, around: tuple[slice, slice], times: int) -> U8:
         """Return where in the shrunk surroundings of a box the object in it is, as cv2 takes it."""
         inside = _pixels(box.edges, image)
         mask = np.zeros((image.height, image.width), dtype=np.uint8)
@@ -122,7 +122,7 @@ class Follower:
         rows, columns = (s.stop - s.start for s in around)
         return mask[around][: rows // times * times : times, : columns // times * times : times]
 
-    def _stays(self, now: RgbdImage, points_px: Floats, depth_m: float) -> Bool:
+    def _stays(self, now: Image, points_px: Floats, depth_m: float) -> Bool:
         """Return which points (N, 2) lie in the image and, where depth is known, near the depth of the box."""
         nearest = np.rint(points_px)
         within = np.all((nearest >= 0) & (nearest < (now.width, now.height)), axis=1)
@@ -133,7 +133,7 @@ class Follower:
         return np.asarray(np.abs(depth - np.float32(depth_m)) <= self.depth_range_m)
 
 
-def _central_depth(image: RgbdImage, edges: F64) -> float:
+def _central_depth(image: Image, edges: F64) -> float:
     """Return the depth of the object in the middle of a box [m]; 0 where unknown."""
     center, half = 0.5 * (edges[:2] + edges[2:]), 0.5 * CENTRAL_SHARE * (edges[2:] - edges[:2])
     middle = image.depth_m[_pixels(np.concatenate([center - half, center + half]), image)]
@@ -141,7 +141,7 @@ def _central_depth(image: RgbdImage, edges: F64) -> float:
     return float(np.quantile(known, CENTRAL_QUANTILE)) if known.size else 0.0
 
 
-def _pixels(edges: F64, image: RgbdImage, margin_px: int = 0) -> tuple[slice, slice]:
+def _pixels(edges: F64, image: Image, margin_px: int = 0) -> tuple[slice, slice]:
     """Return the rows and columns of a box in an image; empty where it lies outside."""
     x0, y0, x1, y1 = edges.tolist()
     rows = _span(y0, y1, margin_px, image.height)
@@ -153,7 +153,7 @@ def _span(first: float, last: float, margin_px: int, size: int) -> slice:
     return slice(start, min(max(math.floor(last) + 1 + margin_px, start), size))
 
 
-def _in_pixels(length_px: int, image: RgbdImage) -> int:
+def _in_pixels(length_px: int, image: Image) -> int:
     """Return a length of images 640 pixels long in this image [px]."""
     return in_pixels(length_px, pixel_scale(image.width, image.height))
 
@@ -266,10 +266,10 @@ class CarriedBoxes:
         self._follower = Follower(config.depth_range_m, config.min_points, config.min_support)
         self._tracks: list[_Track] = []
         self._next_id = 0
-        self._before: RgbdImage | None = None
+        self._before: Image | None = None
         self._n_since = 0
 
-    def __call__(self, image: RgbdImage) -> Semantics:
+    def __call__(self, image: Image) -> Semantics:
         """Return the boxes of this image, detected and propagated."""
         frames = self._frames_since(image)
         if self._is_between(image):
@@ -285,13 +285,13 @@ class CarriedBoxes:
         self._before = image
         return self._reported(image, 0)
 
-    def _is_between(self, image: RgbdImage) -> bool:
+    def _is_between(self, image: Image) -> bool:
         """Return whether the detector need not see an image; count the images that it did not."""
         is_soon = self._before is not None and image.timestamp_s - self._before.timestamp_s <= SOON_S
         self._n_since = (self._n_since + 1) % self._config.every if is_soon else 0
         return self._n_since > 0
 
-    def _reported(self, image: RgbdImage, later: int) -> Semantics:
+    def _reported(self, image: Image, later: int) -> Semantics:
         """Return the boxes in an image, `later` frames after the detector last ran."""
         size = image.width, image.height
         boxes = [track.as_box(*size, self._config.grow, later) for track in self._tracks]
@@ -309,7 +309,7 @@ class CarriedBoxes:
         entering = box.x_min_px <= margin_px or box.x_max_px >= width - 1 - margin_px
         return box.confidence >= (self._enter_confidence if entering else self._confidence)
 
-    def _frames_since(self, image: RgbdImage) -> int:
+    def _frames_since(self, image: Image) -> int:
         """Return how many frames after the detector's last image this one is; forget all if it is not a later one."""
         before = self._before
         if before is None:
@@ -344,7 +344,7 @@ class CarriedBoxes:
         self._next_id += 1
         return _Track(self._next_id - 1, np.array(box.xyxy_px), box.label, box.confidence)
 
-    def _carry(self, track: _Track, image: RgbdImage, frames: int) -> bool:
+    def _carry(self, track: _Track, image: Image, frames: int) -> bool:
         """Propagate a missed box to this image; return whether it is kept."""
         before = self._before
         track.carried += frames

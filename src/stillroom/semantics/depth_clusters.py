@@ -10,7 +10,7 @@ import numpy as np
 
 from stillroom.bounds import bounded, check
 from stillroom.data.clusters import PLANE, UNKNOWN, Clusters
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image
 from stillroom.data.semantics import Semantics, boxes_xyxy_px
 from stillroom.geometry.arrays import F32
 from stillroom.geometry.camera import Camera
@@ -38,7 +38,7 @@ class NoClustersConfig:
 class NoClusters:
     """The null object: no clusters."""
 
-    def __call__(self, image: RgbdImage, semantics: Pending[Semantics]) -> Semantics:
+    def __call__(self, image: Image, semantics: Pending[Semantics]) -> Semantics:
         """Return the semantics as they are."""
         return semantics.result()
 
@@ -92,7 +92,7 @@ class DepthClusterer:
         self._camera = camera
         self._grid: tuple[int, int, RayGrid] | None = None
 
-    def __call__(self, image: RgbdImage, semantics: Pending[Semantics]) -> Semantics:
+    def __call__(self, image: Image, semantics: Pending[Semantics]) -> Semantics:
         """Return the semantics with the clusters of the image's depth; boxes are awaited after the planes."""
         config = self.config
         grid = self._grid_for(*image.depth_m.shape)
@@ -123,7 +123,7 @@ class DepthClusterer:
             self._grid = (height, width, ray_grid(self._camera, height, width, self.config.stride))
         return self._grid[2]
 
-    def _noun(self, image: RgbdImage, grid: RayGrid, points_m: F32, planes: Planes, found: CloudSegments) -> Clusters:
+    def _noun(self, image: Image, grid: RayGrid, points_m: F32, planes: Planes, found: CloudSegments) -> Clusters:
         """Return the clusters with their label image."""
         labels = found.segment_of.astype(np.int16)
         np.putmask(labels, planes.plane_of >= 0, PLANE)

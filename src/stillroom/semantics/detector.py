@@ -5,7 +5,7 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image
 from stillroom.data.semantics import Box, Semantics, nothing
 from stillroom.geometry.arrays import I64, Floats
 from stillroom.protocols import KeyframeSegmenter, Segmenter
@@ -16,7 +16,7 @@ FrameRange = tuple[int, int]
 class Detector(Protocol):
     """Finds boxes in one image. Keeps no state over time: `CarriedBoxes` does."""
 
-    def detect(self, image: RgbdImage) -> tuple[Box, ...]:
+    def detect(self, image: Image) -> tuple[Box, ...]:
         """Return the boxes of potentially dynamic objects, and of named ones, the most confident first."""
 
 
@@ -38,7 +38,7 @@ class EachFrameAlone:
         self.detector = detector
         self._named = named
 
-    def __call__(self, image: RgbdImage) -> Semantics:
+    def __call__(self, image: Image) -> Semantics:
         """Return the boxes of this image."""
         return of_boxes(image, self.detector.detect(image), self._named)
 
@@ -47,7 +47,7 @@ class EachFrameAlone:
         return EachFrameAlone(detector, self._named)
 
 
-def of_boxes(image: RgbdImage, boxes: Sequence[Box], named: Collection[str]) -> Semantics:
+def of_boxes(image: Image, boxes: Sequence[Box], named: Collection[str]) -> Semantics:
     """Return boxes as semantics of an image; those of named classes separately."""
     movable = tuple(box for box in boxes if box.label not in named)
     still = tuple(box for box in boxes if box.label in named)
@@ -86,7 +86,7 @@ class WithheldDetector:
         self._detector = detector
         self._ranges = tuple(ranges)
 
-    def detect(self, image: RgbdImage) -> tuple[Box, ...]:
+    def detect(self, image: Image) -> tuple[Box, ...]:
         """Return the detector's boxes, or none."""
         return () if _within(image, self._ranges) else self._detector.detect(image)
 
@@ -98,7 +98,7 @@ class WithheldSegmenter:
         self._segmenter = segmenter
         self._ranges = tuple(ranges)
 
-    def __call__(self, image: RgbdImage) -> Semantics:
+    def __call__(self, image: Image) -> Semantics:
         """Return the segmenter's result, or empty semantics."""
         if _within(image, self._ranges):
             return nothing(image.height, image.width)
@@ -112,12 +112,12 @@ class WithheldKeyframeSegmenter(WithheldSegmenter):
         super().__init__(segmenter, ranges)
         self._see = segmenter.see
 
-    def see(self, image: RgbdImage) -> Semantics:
+    def see(self, image: Image) -> Semantics:
         """Return what the network finds in a keyframe, or empty semantics."""
         return nothing(image.height, image.width) if _within(image, self._ranges) else self._see(image)
 
 
-def _within(image: RgbdImage, ranges: Sequence[FrameRange]) -> bool:
+def _within(image: Image, ranges: Sequence[FrameRange]) -> bool:
     return any(first <= image.index < end for first, end in ranges)
 
 

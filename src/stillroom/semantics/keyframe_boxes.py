@@ -2,7 +2,7 @@
 
 from collections.abc import Collection
 
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image
 from stillroom.data.semantics import Semantics, nothing
 from stillroom.semantics.detector import Detector, of_boxes
 
@@ -15,9 +15,9 @@ class KeyframeBoxes:
         self.detector = detector
         self._named = named
         self._has_begun = False
-        self._first: tuple[RgbdImage, Semantics] | None = None
+        self._first: tuple[Image, Semantics] | None = None
 
-    def __call__(self, image: RgbdImage) -> Semantics:
+    def __call__(self, image: Image) -> Semantics:
         """Return the boxes of the first image, where tracking begins; else nothing."""
         if self._has_begun:
             return nothing(image.height, image.width)
@@ -25,7 +25,7 @@ class KeyframeBoxes:
         self._first = image, self._detected(image)
         return self._first[1]
 
-    def see(self, image: RgbdImage) -> Semantics:
+    def see(self, image: Image) -> Semantics:
         """Return the boxes of an image that becomes a keyframe; the first one is not detected twice."""
         first, self._first = self._first, None
         return first[1] if first is not None and first[0] is image else self._detected(image)
@@ -34,5 +34,5 @@ class KeyframeBoxes:
         """Return the same with another detector."""
         return KeyframeBoxes(detector, self._named)
 
-    def _detected(self, image: RgbdImage) -> Semantics:
+    def _detected(self, image: Image) -> Semantics:
         return of_boxes(image, self.detector.detect(image), self._named)

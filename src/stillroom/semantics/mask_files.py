@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from stillroom.bounds import bounded, check
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image
 from stillroom.data.semantics import Box, Instance, Semantics, nothing, union_of
 from stillroom.errors import ConfigError, DatasetError
 from stillroom.geometry.arrays import U8, Ints
@@ -78,7 +78,7 @@ class MaskFiles:
         self._by_time = [by_time[time] for time in self._times_s]
         self._warned = False
 
-    def __call__(self, image: RgbdImage) -> Semantics:
+    def __call__(self, image: Image) -> Semantics:
         """Return the mask of the image.
 
         Raises:
@@ -113,7 +113,7 @@ class MaskFiles:
             found.append(Instance.of(own, LABEL))
         return tuple(found)
 
-    def _find(self, image: RgbdImage) -> Path | None:
+    def _find(self, image: Image) -> Path | None:
         if image.name in self._by_name:
             return self._by_name[image.name]
         if len(self._times_s):
@@ -122,7 +122,7 @@ class MaskFiles:
                 return self._by_time[nearest]
         return self._by_index.get(image.index)
 
-    def _without(self, image: RgbdImage, problem: str) -> Semantics:
+    def _without(self, image: Image, problem: str) -> Semantics:
         if self._config.missing == "error":
             raise DatasetError(f"{problem}; add it, or set missing to 'nothing'")
         if not self._warned:

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image
 from stillroom.data.semantics import Semantics, nothing
 from stillroom.protocols import Parts, Segmenter
 
@@ -19,6 +19,6 @@ class NothingConfig:
 class NoSegmenter:
     """The null object: nothing in any image is potentially dynamic."""
 
-    def __call__(self, image: RgbdImage) -> Semantics:
+    def __call__(self, image: Image) -> Semantics:
         """Return empty semantics of the image's size."""
         return nothing(image.height, image.width)

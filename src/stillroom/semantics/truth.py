@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image
 from stillroom.data.semantics import Box, Semantics
 from stillroom.errors import ConfigError
 from stillroom.protocols import Parts, Segmenter
@@ -33,7 +33,7 @@ class TrueSemanticsConfig:
 class TrueMasks:
     """Returns the whole ground truth of the renderer."""
 
-    def __call__(self, image: RgbdImage) -> Semantics:
+    def __call__(self, image: Image) -> Semantics:
         """Return the truth of the image.
 
         Raises:
@@ -45,7 +45,7 @@ class TrueMasks:
 class TrueBoxes:
     """A detector that returns the renderer's boxes."""
 
-    def detect(self, image: RgbdImage) -> tuple[Box, ...]:
+    def detect(self, image: Image) -> tuple[Box, ...]:
         """Return the boxes of the image.
 
         Raises:
@@ -54,7 +54,7 @@ class TrueBoxes:
         return _truth(image).boxes
 
 
-def _truth(image: RgbdImage) -> Semantics:
+def _truth(image: Image) -> Semantics:
     if image.truth is None:
         raise ConfigError(
             f"image {image.index} has no ground truth: the truth segmenter works on rendered sequences only; "

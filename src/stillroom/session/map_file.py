@@ -10,6 +10,7 @@ from stillroom.bounds import in_pixels_of
 from stillroom.config import SlamConfig, to_toml
 from stillroom.data.dense_cloud import DenseCloud
 from stillroom.data.map import Map
+from stillroom.data.sensor import Sensor
 from stillroom.dense.dense_mapper import DenseMapperConfig
 from stillroom.dense.no_dense_map import NoDenseMapConfig
 from stillroom.errors import MapError
@@ -94,7 +95,9 @@ class OpenedMap:
 
 
 @contextmanager
-def opened_map(file: MapFile | None, config: SlamConfig, camera: Camera, sequence: str) -> Iterator[OpenedMap]:
+def opened_map(
+    file: MapFile | None, config: SlamConfig, camera: Camera, sequence: str, sensor: Sensor = Sensor.RGBD
+) -> Iterator[OpenedMap]:
     """Open the map file of a run, where it has one, and let it go in any case.
 
     Args:
@@ -102,6 +105,7 @@ def opened_map(file: MapFile | None, config: SlamConfig, camera: Camera, sequenc
         config: The method.
         camera: The calibration of the images to come.
         sequence: What they are called.
+        sensor: What kind of camera takes them.
 
     Raises:
         MapError: The file cannot be used so, or does not fit the config or the camera; it is then as it was.
@@ -115,7 +119,7 @@ def opened_map(file: MapFile | None, config: SlamConfig, camera: Camera, sequenc
         yield OpenedMap(earlier.world, earlier=earlier)
         return
     if earlier is None:
-        world = Map(config.features.scales(camera))
+        world = Map(config.features.scales(camera), sensor)
         writer = MapWriter.create(file.path, world, camera)
     else:
         _require_camera(file.path, earlier.camera, camera, sequence)

@@ -13,10 +13,11 @@ import numpy as np
 from stillroom.compiled import said_when_compiling
 from stillroom.config import SlamConfig, with_overrides
 from stillroom.data.dense_cloud import DenseCloud
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image
 from stillroom.data.map import Map
 from stillroom.data.result import FrameResult, Tracked, TrackingState
 from stillroom.data.semantics import Semantics
+from stillroom.data.sensor import Sensor
 from stillroom.data.trajectory import Trajectory
 from stillroom.errors import ConfigError, FrameError, MapError, StillroomError
 from stillroom.evaluation.timing import FRAME, StageClock
@@ -51,6 +52,7 @@ class Slam:
     Attributes:
         config: The whole configuration.
         camera: The calibration of the images.
+        sensor: What kind of camera takes them.
         clock: Times of the stages.
         system: The stages, and the map that they share.
         doubts: What is probably wrong with calibration or depth; each was logged once.
@@ -68,6 +70,7 @@ class Slam:
         segmenter: Segmenter | None = None,
         observers: Iterable[RunObserver] = (),
         schedule: str | Schedule = ScheduleName.IN_ORDER,
+        sensor: str | Sensor = Sensor.RGBD,
         sequence: str = "images from Python",
     ) -> None:
         """Initialise the system.
@@ -85,6 +88,7 @@ class Slam:
             schedule: "in-order" runs everything on the caller's thread, and the same images give the same result byte
                 for byte; "live" has the papers' threads: what may move, mapping and the dense map are done by workers
                 while tracking goes on.
+            sensor: What kind of camera takes the images: "rgbd", "stereo" or "monocular".
             sequence: Name of the images in a map file and in messages.
 
         Raises:
@@ -101,13 +105,15 @@ class Slam:
         self._is_live = isinstance(schedule, LiveSchedule)
         config = _configured(method, settings, seed)
         self.config = config if file is None else file.fitting(config)
-        self.camera, self.clock = camera, StageClock()
+        self.camera, self.sensor, self.clock = camera, _sensor(sensor), StageClock()
         self.doubts: list[Doubt] = []
         self._depths, self._times = DepthRange(camera.depth_factor), ImageTimes()
         self._sequence, self._observers, self._newest = sequence, list(observers), _Newest()
         self._n_given, self._last_s, self._is_open = 0, -np.inf, True
         with ExitStack() as opening:
-            self._opened: OpenedMap = opening.enter_context(opened_map(file, self.config, camera, sequence))
+            self._opened: OpenedMap = opening.enter_context(
+                opened_map(file, self.config, camera, sequence, self.sensor)
+            )
             self.system = self._built(segmenter, schedule)
             opening.callback(weakref.finalize(self, one_thread.hold()))  # let go with the object at the latest
             self._opening = opening.pop_all()
@@ -123,6 +129,7 @@ class Slam:
             clock=self.clock,
             world=self._opened.world,
             keeper=self._opened.keeper,
+            sensor=self.sensor,
         )
 
     def observe(self, observer: RunObserver) -> None:
@@ -135,7 +142,7 @@ class Slam:
             log.warning("%s", each)
             self.doubts.append(each)
 
-    def process(self, image: RgbdImage, following: Sequence[RgbdImage] = ()) -> FrameResult:
+    def process(self, image: Image, following: Sequence[Image] = ()) -> FrameResult:
         """Track one image.
 
         Args:
@@ -154,10 +161,11 @@ class Slam:
             raise StillroomError("this Slam is closed; make another one for more images")
         self._require(image)
         if image.index < 0:
-            image = replace(image, index=self._n_given)
+            image = image.at(self._n_given, image.timestamp_s)
         self._n_given, self._last_s = self._n_given + 1, image.timestamp_s
         self.doubt(self._times.add(image.timestamp_s))
-        self.doubt(self._depths.add(image.depth_m))
+        if image.has_depth_image:
+            self.doubt(self._depths.add(image.depth_m))
         is_first = len(self.system.results) == 0
         with self.clock.stage(FRAME), said_when_compiling() if is_first else nullcontext():
             result = self._repeated(image) or self._tracked(image, following)
@@ -239,7 +247,7 @@ class Slam:
         frames = (*earlier.frames, *(note for note in notes if note is not None))
         save_map(Path(path), StoredMap(self.map, earlier.camera, (*earlier.sessions, session), frames))
 
-    def _repeated(self, image: RgbdImage) -> FrameResult | None:
+    def _repeated(self, image: Image) -> FrameResult | None:
         """Return the result before, for an image that shows exactly the same; None for a new one.
 
         Recorders that wait for a slow sensor write the last image again. It carries no information, and a motion model
@@ -257,7 +265,7 @@ class Slam:
         self._newest.on_frame(replace(tracked, frame=replace(tracked.frame, image=image)), semantics, result)
         return result
 
-    def _tracked(self, image: RgbdImage, following: Sequence[RgbdImage]) -> FrameResult:
+    def _tracked(self, image: Image, following: Sequence[Image]) -> FrameResult:
         if self._is_live:
             self.system.begin(image)
             last = image
@@ -268,7 +276,7 @@ class Slam:
                 last = coming
         return self.system.process(image)
 
-    def _may_follow(self, image: RgbdImage, following: RgbdImage) -> bool:
+    def _may_follow(self, image: Image, following: Image) -> bool:
         """Return whether an image will be tracked after this one: it is neither refused nor a repetition."""
         try:
             self._require(following)
@@ -281,7 +289,7 @@ class Slam:
             self.system.close()
         self.clock.conclude()
 
-    def _require(self, image: RgbdImage) -> None:
+    def _require(self, image: Image) -> None:
         """Refuse an image that is not what the camera takes.
 
         Raises:
@@ -292,7 +300,9 @@ class Slam:
             raise FrameError(
                 f"{where}: rgb is {image.rgb.dtype} {image.rgb.shape}; the camera's images are uint8 {(*size, 3)}"
             )
-        if image.depth_m.dtype != np.float32 or image.depth_m.shape != size:
+        if image.sensor is not self.sensor:
+            raise FrameError(f"{where}: it is {image.sensor.words}; this Slam takes {self.sensor.words} images")
+        if image.has_depth_image and (image.depth_m.dtype != np.float32 or image.depth_m.shape != size):
             hint = f": divide a sensor's units by {self.camera.depth_factor:g}, as float32"
             raise FrameError(
                 f"{where}: depth_m is {image.depth_m.dtype} {image.depth_m.shape}; it must be float32 {size} in metres"
@@ -322,11 +332,11 @@ class _Newest:
                 observer.on_frame(*self.seen)
 
 
-def _is_same(first: RgbdImage, second: RgbdImage) -> bool:
+def _is_same(first: Image, second: Image) -> bool:
     few = slice(None, None, 16)
     if not np.array_equal(first.rgb[few, few], second.rgb[few, few]):
         return False
-    return np.array_equal(first.rgb, second.rgb) and np.array_equal(first.depth_m, second.depth_m)
+    return all(np.array_equal(channel, second.channels[name]) for name, channel in first.channels.items())
 
 
 def _configured(method: str | SlamConfig, settings: Iterable[str], seed: int | None) -> SlamConfig:
@@ -338,6 +348,13 @@ def _configured(method: str | SlamConfig, settings: Iterable[str], seed: int | N
 
 def _schedule(asked: str | Schedule) -> Schedule:
     return schedule_of(asked) if isinstance(asked, str) else asked
+
+
+def _sensor(asked: str | Sensor) -> Sensor:
+    try:
+        return Sensor(asked)
+    except ValueError:
+        raise ConfigError(f"sensor is '{asked}'; it must be one of {', '.join(Sensor)}") from None
 
 
 def _map_use(asked: MapUse | str) -> MapUse:

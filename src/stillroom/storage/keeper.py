@@ -3,7 +3,7 @@
 from collections import deque
 from dataclasses import dataclass
 
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image
 from stillroom.data.result import FrameSummary
 from stillroom.errors import MapError
 from stillroom.geometry.arrays import Bool
@@ -38,7 +38,7 @@ class MapKeeper:
         self._writer, self._session, self._camera = writer, session, camera
         self._frames: deque[FrameNote] = deque()
 
-    def keep(self, keyframe: int, image: RgbdImage, moving: Bool) -> None:
+    def keep(self, keyframe: int, image: Image, moving: Bool) -> None:
         """Write a new keyframe, and all that it changed.
 
         Args:
@@ -80,7 +80,7 @@ class MapKeeper:
 class NoKeeper:
     """The null object: writes nothing, so that no caller has to check whether there is a file."""
 
-    def keep(self, keyframe: int, image: RgbdImage, moving: Bool) -> None:
+    def keep(self, keyframe: int, image: Image, moving: Bool) -> None:
         """Do nothing."""
 
     def note(self, result: FrameSummary) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image
 from stillroom.data.map import Map, submaps
 from stillroom.data.replacing import cannot_be_written, replace_text, replacing
 from stillroom.data.trajectory import Trajectory
@@ -46,7 +46,7 @@ class ColmapModel:
     n_without_image: int
 
 
-def write_colmap(stored: StoredMap, images: Iterable[tuple[int, RgbdImage]], folder: Path) -> ColmapModel:
+def write_colmap(stored: StoredMap, images: Iterable[tuple[int, Image]], folder: Path) -> ColmapModel:
     """Write the text model of a map, of its main sub-map where there are several, and the images that it names.
 
     Args:

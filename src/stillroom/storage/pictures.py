@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image, RgbdImage
 from stillroom.errors import MapError
 from stillroom.geometry.arrays import U8, Bool
 
@@ -31,7 +31,7 @@ class Pictures:
     rgb_jpeg: bytes
 
 
-def compress(keyframe: int, image: RgbdImage, moving: Bool, depth_factor: float) -> Pictures:
+def compress(keyframe: int, image: Image, moving: Bool, depth_factor: float) -> Pictures:
     """Compress a keyframe's images.
 
     Args:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from stillroom.data.frame import ScaleLevels
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image
 from stillroom.data.map import Map
 from stillroom.errors import CalibrationError, MapError
 from stillroom.geometry.camera import Camera
@@ -56,7 +56,7 @@ def load_map(path: Path, whole: bool = True) -> StoredMap:
     return stored
 
 
-def keyframe_images(path: Path) -> Iterator[tuple[int, RgbdImage]]:
+def keyframe_images(path: Path) -> Iterator[tuple[int, Image]]:
     """Yield the images of the keyframes of which they were kept, with the keyframe's id, oldest first.
 
     Raises:

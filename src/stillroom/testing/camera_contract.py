@@ -14,12 +14,12 @@ from itertools import pairwise
 
 import numpy as np
 
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image
 from stillroom.protocols import CameraStream
 from stillroom.testing.dataset_contract import check_pixels
 
 
-def check_camera(build: Callable[[], CameraStream], n_images: int = 5) -> list[RgbdImage]:
+def check_camera(build: Callable[[], CameraStream], n_images: int = 5) -> list[Image]:
     """Check that a camera that works fulfils the contract.
 
     Args:
@@ -63,9 +63,9 @@ def _check_description(stream: CameraStream) -> None:
         assert stream.groundtruth is not None, "groundtruth_at_camera without groundtruth; give it as groundtruth"
 
 
-def _images(stream: CameraStream, n_images: int) -> list[RgbdImage]:
+def _images(stream: CameraStream, n_images: int) -> list[Image]:
     """Return the first images; after the last one, None must come again and again."""
-    images: list[RgbdImage] = []
+    images: list[Image] = []
     while len(images) < n_images:
         image = stream.next()
         if image is None:

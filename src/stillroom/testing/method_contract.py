@@ -15,9 +15,8 @@ from dataclasses import replace
 import numpy as np
 
 from stillroom.config import SlamConfig, to_toml, updated
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image
 from stillroom.data.result import FrameResult, FrameSummary, TrackingState
-from stillroom.data.semantics import nothing
 from stillroom.data.trajectory import Trajectory
 from stillroom.geometry.arrays import F64
 from stillroom.presets.method import Method
@@ -70,7 +69,7 @@ def _check_description(method: Method) -> None:
     assert again == method.config, "the config written as TOML and read again is another one"
 
 
-def _run(system: System, images: Sequence[RgbdImage]) -> System:
+def _run(system: System, images: Sequence[Image]) -> System:
     for image in images:
         result = system.process(image)
         _check_result(result, system.results[-1], image)
@@ -78,7 +77,7 @@ def _run(system: System, images: Sequence[RgbdImage]) -> System:
     return system
 
 
-def _check_result(result: FrameResult, kept: FrameSummary, image: RgbdImage) -> None:
+def _check_result(result: FrameResult, kept: FrameSummary, image: Image) -> None:
     where = f"image {image.index}"
     assert result.T_world_cam is kept.T_world_cam, f"{where}: what process returns is not kept"
     assert _counts(result) == _counts(kept), f"{where}: what process returns is not kept"
@@ -88,7 +87,7 @@ def _check_result(result: FrameResult, kept: FrameSummary, image: RgbdImage) -> 
     assert n_static == result.n_static, f"{where}: {n_static} keypoints returned as static, {result.n_static} counted"
 
 
-def _check_results(system: System, images: Sequence[RgbdImage]) -> None:
+def _check_results(system: System, images: Sequence[Image]) -> None:
     assert len(system.results) == len(images), f"{len(images)} images, {len(system.results)} results"
     for image, result in zip(images, system.results, strict=True):
         where = f"image {image.index}"
@@ -142,15 +141,15 @@ def _counts(result: FrameSummary) -> tuple[int, ...]:
     return result.n_keypoints, result.n_static, result.n_inliers, result.n_keyframes
 
 
-def _check_darkness(system: System, images: Sequence[RgbdImage]) -> None:
+def _check_darkness(system: System, images: Sequence[Image]) -> None:
     """Test a black image in the middle, and an image without depth."""
     middle = len(images) // 2
     changed = list(images)
     for place in range(middle, min(middle + DARK_FRAMES, len(images))):
-        changed[place] = _dark(images[place])
+        changed[place] = images[place].black()
     blind = middle + 2 * DARK_FRAMES
     if blind < len(images):
-        changed[blind] = _blind(images[blind])
+        changed[blind] = images[blind].without_depth()
     _run(system, changed)
     _check_results(system, changed)
     _check_trajectories(system)
@@ -160,18 +159,9 @@ def _check_darkness(system: System, images: Sequence[RgbdImage]) -> None:
         assert dark.state is TrackingState.LOST, f"a black image in the middle is '{dark.state.value}', not lost"
 
 
-def _check_empty(system: System, image: RgbdImage) -> None:
+def _check_empty(system: System, image: Image) -> None:
     """Begin with a black image: there is no map yet, so tracking cannot be lost."""
-    system.process(_dark(image))
+    system.process(image.black())
     assert system.results[-1].state is TrackingState.NOT_INITIALIZED, "a black first image must not begin a map"
     for name, trajectory in (("final", system.trajectory()), ("keyframes'", system.keyframe_trajectory())):
         assert trajectory.T_world_cam.shape == (0, 4, 4), f"the {name} trajectory of nothing has poses"
-
-
-def _dark(image: RgbdImage) -> RgbdImage:
-    truth = None if image.truth is None else nothing(image.height, image.width)
-    return _blind(replace(image, rgb=np.zeros_like(image.rgb), truth=truth))
-
-
-def _blind(image: RgbdImage) -> RgbdImage:
-    return replace(image, depth_m=np.zeros_like(image.depth_m))

@@ -13,12 +13,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image
 from stillroom.data.semantics import Box, Instance, Semantics
 from stillroom.protocols import Segmenter
 
 
-def check_segmenter(build: Callable[[], Segmenter], images: Sequence[RgbdImage]) -> list[Semantics]:
+def check_segmenter(build: Callable[[], Segmenter], images: Sequence[Image]) -> list[Semantics]:
     """Check that a segmenter fulfils the contract.
 
     Args:
@@ -45,18 +45,18 @@ def check_segmenter(build: Callable[[], Segmenter], images: Sequence[RgbdImage])
         _check_same(_ask(fresh, image), copy, f"image {image.index}: a fresh segmenter answers otherwise")
     # A black image in the middle of a run, then normal ones.
     last = images[-1]
-    for step, dark in enumerate((_black(last), last), start=1):
-        _ask(segmenter, replace(dark, index=last.index + step, timestamp_s=last.timestamp_s + step / 30.0))
-    _ask(build(), _black(images[0]))
+    for step, dark in enumerate((last.black(), last), start=1):
+        _ask(segmenter, dark.at(last.index + step, last.timestamp_s + step / 30.0))
+    _ask(build(), images[0].black())
     return answers
 
 
-def _ask(segmenter: Segmenter, image: RgbdImage) -> Semantics:
-    rgb, depth_m = image.rgb.copy(), image.depth_m.copy()
+def _ask(segmenter: Segmenter, image: Image) -> Semantics:
+    before = {name: channel.copy() for name, channel in image.channels.items()}
     answer = segmenter(image)
     where = f"image {image.index}"
-    assert np.array_equal(image.rgb, rgb), f"{where}: the segmenter changed the colours it was given"
-    assert np.array_equal(image.depth_m, depth_m), f"{where}: the segmenter changed the depth it was given"
+    for name, channel in image.channels.items():
+        assert np.array_equal(channel, before[name]), f"{where}: the segmenter changed {name} of the image it was given"
     assert isinstance(answer, Semantics), f"{where}: the answer is a {type(answer).__name__}, not Semantics"
     size = (image.height, image.width)
     assert (answer.height, answer.width) == size, f"{where}: semantics of {(answer.height, answer.width)}, not {size}"
@@ -70,7 +70,7 @@ def _ask(segmenter: Segmenter, image: RgbdImage) -> Semantics:
     return answer
 
 
-def _check_box(box: Box, image: RgbdImage, where: str) -> None:
+def _check_box(box: Box, image: Image, where: str) -> None:
     x0, y0, x1, y1 = box.xyxy_px
     assert np.all(np.isfinite(box.xyxy_px)), f"{where}: an edge of {box} is not finite"
     assert x0 <= x1, f"{where}: {box} is turned inside out"
@@ -83,7 +83,7 @@ def _check_box(box: Box, image: RgbdImage, where: str) -> None:
     assert box.carried >= 0, f"{where}: {box} was last seen in the future"
 
 
-def _check_instance(instance: Instance, answer: Semantics, image: RgbdImage, where: str) -> None:
+def _check_instance(instance: Instance, answer: Semantics, image: Image, where: str) -> None:
     size = (image.height, image.width)
     assert isinstance(instance, Instance), f"{where}: an instance is a {type(instance).__name__}, not Instance"
     assert (instance.height, instance.width) == size, f"{where}: {instance} is of another image size than {size}"
@@ -118,9 +118,3 @@ def _copied(answer: Semantics) -> Semantics:
 def _told(instance: Instance) -> tuple[object, ...]:
     """Return the fields of an instance, such that two can be compared."""
     return instance.label, instance.score, instance.track_id, instance.x_px, instance.y_px, instance.pixels.tolist()
-
-
-def _black(image: RgbdImage) -> RgbdImage:
-    """Return an image of the same size and place that shows nothing."""
-    truth = None if image.truth is None else Semantics(image.height, image.width)
-    return replace(image, rgb=np.zeros_like(image.rgb), depth_m=np.zeros_like(image.depth_m), truth=truth)

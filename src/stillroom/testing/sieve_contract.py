@@ -17,7 +17,7 @@ import numpy as np
 
 from stillroom.config import SlamConfig
 from stillroom.data.frame import Frame, Keypoints
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image
 from stillroom.data.map import Map
 from stillroom.data.motion import Motion, Stage
 from stillroom.data.question import Question
@@ -45,7 +45,7 @@ Build = Callable[[Parts], MatchSieve]
 def at(question: Question, stage: Stage, index: int) -> Question:
     """Return the same question about image `index`, 0.1 s after the one before, at another stage."""
     image = question.frame.image
-    later = replace(image, index=index, timestamp_s=image.timestamp_s + 0.1 * (index - image.index))
+    later = image.at(index, image.timestamp_s + 0.1 * (index - image.index))
     return replace(question, stage=stage, frame=replace(question.frame, image=later))
 
 
@@ -78,8 +78,8 @@ def odd_questions(question: Question) -> Iterator[tuple[str, Question]]:
     one = none.copy()
     one[:1] = True
     everything = Box(0.0, 0.0, size[1] - 1.0, size[0] - 1.0, "person", 1.0)
-    empty, dark = _with_keypoints(frame, np.zeros(len(frame), dtype=np.bool_)), np.zeros_like(frame.image.rgb)
-    black = _without_depth(replace(empty, image=replace(frame.image, rgb=dark, truth=None)))
+    empty = _with_keypoints(frame, np.zeros(len(frame), dtype=np.bool_))
+    black = _without_depth(replace(empty, image=frame.image.black()))
     unmatched = replace(question, matches=matches.keep(none))
     yield "no matches", unmatched
     yield "an empty map", replace(unmatched, world=Map(question.world.scales), T_cam_world=np.eye(4))
@@ -104,7 +104,7 @@ def _with_keypoints(frame: Frame, chosen: Bool) -> Frame:
 def _without_depth(frame: Frame) -> Frame:
     kp = frame.keypoints
     keypoints = replace(kp, depth_m=np.zeros_like(kp.depth_m), right_px=np.full_like(kp.right_px, -1.0))
-    return replace(frame, image=replace(frame.image, depth_m=np.zeros_like(frame.image.depth_m)), keypoints=keypoints)
+    return replace(frame, image=frame.image.without_depth(), keypoints=keypoints)
 
 
 @dataclass(frozen=True)
@@ -211,7 +211,7 @@ class _TrueBoxesAndClusters:
     def __init__(self, camera: Camera) -> None:
         self.camera = camera
 
-    def __call__(self, image: RgbdImage) -> Semantics:
+    def __call__(self, image: Image) -> Semantics:
         assert image.truth is not None, f"image {image.index} has no ground truth: the sequence must be a rendered one"
         clusters = true_clusters(image, self.camera)
         return Semantics(image.height, image.width, image.truth.boxes, clusters=clusters)

@@ -16,7 +16,7 @@ import numpy as np
 
 from stillroom.config import SlamConfig
 from stillroom.data.frame import Frame
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image
 from stillroom.data.map import Map
 from stillroom.data.motion import Motion
 from stillroom.data.question import Question
@@ -71,7 +71,7 @@ class _OneBoxAndClusters:
     def __init__(self, camera: Camera) -> None:
         self.camera = camera
 
-    def __call__(self, image: RgbdImage) -> Semantics:
+    def __call__(self, image: Image) -> Semantics:
         assert image.truth is not None, f"image {image.index} has no ground truth: the sequence must be a rendered one"
         clusters = true_clusters(image, self.camera)
         return Semantics(image.height, image.width, image.truth.boxes[:1], clusters=clusters)

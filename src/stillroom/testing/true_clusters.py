@@ -3,7 +3,7 @@
 import numpy as np
 
 from stillroom.data.clusters import PLANE, UNKNOWN, Clusters
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image
 from stillroom.data.semantics import connected_parts
 from stillroom.geometry.arrays import F64, I16, Bool
 from stillroom.geometry.camera import Camera
@@ -11,7 +11,7 @@ from stillroom.geometry.camera import Camera
 SMALLEST_PX = 150
 
 
-def true_clusters(image: RgbdImage, camera: Camera) -> Clusters | None:
+def true_clusters(image: Image, camera: Camera) -> Clusters | None:
     """Return the moving things of a rendered image as clusters, all else with depth as plane; None without truth."""
     if image.truth is None:
         return None
@@ -43,7 +43,7 @@ def true_clusters(image: RgbdImage, camera: Camera) -> Clusters | None:
     )
 
 
-def _points(image: RgbdImage, chosen: Bool, camera: Camera) -> F64:
+def _points(image: Image, chosen: Bool, camera: Camera) -> F64:
     """Return the points (N, 3) [m, camera frame] of the chosen pixels (H, W)."""
     row, column = np.nonzero(chosen)
     px = camera.undistort(np.stack((column, row), axis=1).astype(np.float32))

@@ -17,12 +17,12 @@ import numpy as np
 
 from stillroom.bounds import bounded
 from stillroom.data.frame import Frame, Keypoints
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image
 from stillroom.data.map import Map
 from stillroom.data.result import Tracked
 from stillroom.data.semantics import Semantics
+from stillroom.features.keypoint_depth import depth_at
 from stillroom.features.optical_flow import OpticalFlow
-from stillroom.features.orb import depth_at
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F32, F64, I32, Bool
 from stillroom.protocols import KeypointSieve, Pending
@@ -92,7 +92,7 @@ class OrbAlways:
 
     extracts_all = True
 
-    def follow(self, image: RgbdImage, semantics: Pending[Semantics], world: Map) -> Tracked | None:
+    def follow(self, image: Image, semantics: Pending[Semantics], world: Map) -> Tracked | None:
         """Return None."""
         return None
 
@@ -115,7 +115,7 @@ class FlowTracking:
         self._flow, self._back = OpticalFlow(window_px, config.levels), OpticalFlow(window_px, levels=0)
         self._n_in_a_row = self._n_calm = 0
 
-    def follow(self, image: RgbdImage, semantics: Pending[Semantics], world: Map) -> Tracked | None:
+    def follow(self, image: Image, semantics: Pending[Semantics], world: Map) -> Tracked | None:
         """Return the image's frame with its pose; None where keypoints have to be extracted.
 
         Args:
@@ -140,7 +140,7 @@ class FlowTracking:
         return last.frame.camera.fx * float(se3.angle_rad(guess @ last.T_world_cam)) <= self.config.max_turn_px
 
     def _track(
-        self, image: RgbdImage, last: Tracked, guess: F64, semantics: Pending[Semantics], world: Map
+        self, image: Image, last: Tracked, guess: F64, semantics: Pending[Semantics], world: Map
     ) -> Tracked | None:
         """Return the image's frame, given the last one and a guess of the pose; None where too little is found."""
         seen, shift_px = expected_shifts(last, guess, world)
@@ -153,7 +153,7 @@ class FlowTracking:
         enough = tracked.n_inliers >= max(self.config.min_inliers, self.config.min_share * len(frame))
         return tracked if enough else None
 
-    def _follow(self, last: Frame, image: RgbdImage, seen: I32, shift_px: F32) -> tuple[Frame, I32]:
+    def _follow(self, last: Frame, image: Image, seen: I32, shift_px: F32) -> tuple[Frame, I32]:
         """Return a frame with the keypoints that were found again, and which (N,) of the last frame's they are."""
         kp, config = last.keypoints, self.config
         start_px = kp.raw_px[seen]
@@ -178,7 +178,7 @@ class FlowTracking:
         )
         return Frame(image, last.camera, last.scales, keypoints, np.ones(len(px), dtype=np.bool_)), seen
 
-    def _is_inside(self, raw_px: F32, image: RgbdImage) -> Bool:
+    def _is_inside(self, raw_px: F32, image: Image) -> Bool:
         """Return which points (N, 2) lie in an image, with the square around them."""
         margin = self.config.window_px // 2
         x, y = raw_px.T

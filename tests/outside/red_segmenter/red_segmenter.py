@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image
 from stillroom.data.semantics import Semantics
 from stillroom.protocols import Segmenter
 
@@ -22,7 +22,7 @@ class RedThings:
     def __init__(self, config: RedThingsConfig) -> None:
         self.config = config
 
-    def __call__(self, image: RgbdImage) -> Semantics:
+    def __call__(self, image: Image) -> Semantics:
         red, others = image.rgb[:, :, 0], image.rgb[:, :, 1:].max(axis=2)
         return Semantics(
             image.height, image.width, mask=(red >= self.config.least_red) & (others <= self.config.most_other)

@@ -6,7 +6,7 @@ import numpy as np
 
 from stillroom.bench.dense_maps import DenseMaps, dense_maps
 from stillroom.config import SlamConfig
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image
 from stillroom.data.result import FrameResult, Tracked
 from stillroom.data.semantics import Semantics
 from stillroom.dense.dense_mapper import DenseMapperConfig
@@ -31,7 +31,7 @@ class Portrait:
         is_static, is_matched: Which of them (N,) are static, and which have a map point.
     """
 
-    image: RgbdImage
+    image: Image
     semantics: Semantics = field(repr=False)
     moving: Bool = field(repr=False)
     keypoints_raw_px: Floats = field(repr=False)

@@ -9,6 +9,7 @@ from stillroom.data.frame import Frame, ScaleLevels
 from stillroom.data.map import links
 from stillroom.data.map.map_lock import MapLock
 from stillroom.data.map.tables import KeyframeTable, KeypointTable, PointTable
+from stillroom.data.sensor import Sensor
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F32, F64, I32, I64, Bool, Ints
 from stillroom.geometry.hamming import words
@@ -147,6 +148,7 @@ class Map:
 
     Attributes:
         scales: The pyramid of the keypoints.
+        sensor: What kind of camera its keyframes are of; lengths are in metres where that is metric.
         keyframes, keypoints, points: The tables; see `tables`.
         covisibility: Which keyframes see the same points.
         lock: Held while a thread reads or changes the map, where others may too.
@@ -155,9 +157,9 @@ class Map:
         loop_edges: Keyframes that closed loops: the one that knew the place, the one that came back.
     """
 
-    def __init__(self, scales: ScaleLevels) -> None:
+    def __init__(self, scales: ScaleLevels, sensor: Sensor = Sensor.RGBD) -> None:
         """Start empty."""
-        self.scales = scales
+        self.scales, self.sensor = scales, sensor
         self.keyframes = KeyframeTable(capacity=64)
         self.keypoints = KeypointTable(capacity=65536)
         self.points = PointTable(capacity=16384)

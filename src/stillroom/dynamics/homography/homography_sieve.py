@@ -8,7 +8,7 @@ import numpy as np
 from stillroom.bounds import bounded, check
 from stillroom.compiled import njit
 from stillroom.data.frame import Frame
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image
 from stillroom.data.motion import Motion
 from stillroom.data.question import Question
 from stillroom.data.semantics import Semantics
@@ -92,7 +92,7 @@ class CompensatedHomographySieve:
         self._past = Past(config.earlier_s)
         self._ants = config.ants.build(seed)
         self._asked: Frame | None = None
-        self._remembered: RgbdImage | None = None
+        self._remembered: Image | None = None
         self.findings: Findings | None = None
         self._said: tuple[Semantics, Motion] | None = None
 

@@ -4,7 +4,7 @@ import itertools
 from dataclasses import dataclass, field, replace
 
 from stillroom.data.frame import Frame
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image
 from stillroom.dynamics.homography.point_motion import SHRINK, ImageView
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64
@@ -30,7 +30,7 @@ class EarlierImage:
     T_cam_world: F64
 
 
-def view_of(image: RgbdImage) -> ImageView:
+def view_of(image: Image) -> ImageView:
     """Return an image as the point test reads it."""
     times = in_pixels(SHRINK, pixel_scale(image.width, image.height))
     return ImageView(image.shrunk(times), image.shrunk(2 * times), image.depth_m)

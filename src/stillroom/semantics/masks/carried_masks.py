@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from stillroom.bounds import bounded
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image
 from stillroom.protocols import Pending, Schedule
 from stillroom.schedule import InOrder, Worker
 from stillroom.semantics.masks.mask_segments import HalfImage, MaskSegments
@@ -17,7 +17,7 @@ from stillroom.semantics.masks.refine import RefineConfig, refined
 
 log = logging.getLogger(__name__)
 
-See = Callable[[RgbdImage, HalfImage], MaskSegments]
+See = Callable[[Image, HalfImage], MaskSegments]
 
 
 # Propagate a mask from the image in which it is known to a later one: by dense flow, gated by depth.
@@ -130,7 +130,7 @@ class LateMasks:
         self._asked_at = -every
         self._is_late = False
 
-    def __call__(self, image: RgbdImage) -> KnownImage:
+    def __call__(self, image: Image) -> KnownImage:
         """Return the segments of an image; images come in order, and a step back resets."""
         view = HalfImage.of(image)
         if self._recent and (view.index <= self._recent[-1].index or view.shape != self._recent[-1].shape):
@@ -166,7 +166,7 @@ class LateMasks:
         """Stride in images at which the network runs now: one more where its last result was late."""
         return self._every + self._is_late
 
-    def _seen(self, image: RgbdImage, view: HalfImage) -> MaskSegments:
+    def _seen(self, image: Image, view: HalfImage) -> MaskSegments:
         """Return what the network sees in an image, with refined borders."""
         return refined(self._see(image, view), view.depth_m, self._refine)
 

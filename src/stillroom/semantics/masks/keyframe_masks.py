@@ -6,7 +6,7 @@ they were tracked, and on a live schedule later images have been called by then.
 
 from collections import deque
 
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image
 from stillroom.protocols import Schedule
 from stillroom.schedule import InOrder, Worker
 from stillroom.semantics.masks.carried_masks import KnownImage, MaskCarryConfig, See, carried
@@ -35,9 +35,9 @@ class AskedMasks:
         self._schedule = schedule or InOrder()
         self._recent: deque[HalfImage] = deque(maxlen=KEPT)
         self._known: KnownImage | None = None
-        self._seen: tuple[RgbdImage, KnownImage] | None = None
+        self._seen: tuple[Image, KnownImage] | None = None
 
-    def __call__(self, image: RgbdImage) -> KnownImage:
+    def __call__(self, image: Image) -> KnownImage:
         """Return the segments of an image; images come in order, and a step back resets."""
         view = HalfImage.of(image)
         if self._recent and (view.index <= self._recent[-1].index or view.shape != self._recent[-1].shape):
@@ -51,7 +51,7 @@ class AskedMasks:
             self._known = KnownImage(self._one_step(self._known.segments, earlier, view), self._known.age + 1)
         return self._known
 
-    def see(self, image: RgbdImage) -> KnownImage:
+    def see(self, image: Image) -> KnownImage:
         """Run the network on an image that was called, unless it has seen it; later images start from its result."""
         if self._seen is not None and self._seen[0] is image:
             return self._seen[1]
@@ -67,7 +67,7 @@ class AskedMasks:
         self._known = KnownImage(segments, len(later))
         return found
 
-    def _found(self, image: RgbdImage, view: HalfImage) -> KnownImage:
+    def _found(self, image: Image, view: HalfImage) -> KnownImage:
         """Return what the network finds in an image, with refined borders; kept for a second question."""
         segments = self._schedule.submit(Worker.NETWORK, self._see, image, view).result()
         found = KnownImage(refined(segments, view.depth_m, self._refine), 0)

@@ -6,7 +6,7 @@ from functools import cached_property
 import cv2
 import numpy as np
 
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image
 from stillroom.geometry.arrays import F32, U8, Bool
 
 SMALLEST_SIDE_PX = 32
@@ -29,7 +29,7 @@ class HalfImage:
     _flows: dict[int, F32] = field(default_factory=dict, repr=False)
 
     @staticmethod
-    def of(image: RgbdImage) -> "HalfImage":
+    def of(image: Image) -> "HalfImage":
         """Return an image at half its size; a last odd row or column is left out."""
         rows, columns = max(image.height // 2, 1), max(image.width // 2, 1)
         gray = cv2.resize(image.gray[: 2 * rows, : 2 * columns], (columns, rows), interpolation=cv2.INTER_AREA)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from stillroom.bounds import bounded, check
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image
 from stillroom.data.semantics import Semantics
 from stillroom.errors import ConfigError
 from stillroom.geometry.arrays import I64
@@ -170,7 +170,7 @@ class OnnxInstances:
             self.segments, config.every, config.latency_frames, config.carry, config.refine, schedule
         )
 
-    def __call__(self, image: RgbdImage) -> Semantics:
+    def __call__(self, image: Image) -> Semantics:
         """Return what is potentially dynamic in the image.
 
         Raises:
@@ -179,7 +179,7 @@ class OnnxInstances:
         known = self._masks(image)
         return as_instances(known.segments, image.height, image.width, known.age, self._config.regions)
 
-    def segments(self, image: RgbdImage, view: HalfImage) -> MaskSegments:
+    def segments(self, image: Image, view: HalfImage) -> MaskSegments:
         """Return the network's instances of one image, at half size."""
         fit = self._network.fit(image)
         layout, candidates = self._read(self._network.run(image.rgb, fit))

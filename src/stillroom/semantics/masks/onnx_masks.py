@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from stillroom.bounds import bounded, check
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image
 from stillroom.data.semantics import Semantics
 from stillroom.geometry.arrays import F32, U8
 from stillroom.protocols import Parts, Schedule, Segmenter
@@ -108,7 +108,7 @@ class Reading:
         self.config = config
         self.network = network
 
-    def segments(self, image: RgbdImage, view: HalfImage) -> MaskSegments:
+    def segments(self, image: Image, view: HalfImage) -> MaskSegments:
         """Return the network's segments of one image, at half size.
 
         Raises:
@@ -126,7 +126,7 @@ class Reading:
         named = best * ((label == 0) & (highest >= least))
         return MaskSegments(label, np.where(named > 0, highest, together), named)
 
-    def semantics(self, known: KnownImage, image: RgbdImage) -> Semantics:
+    def semantics(self, known: KnownImage, image: Image) -> Semantics:
         """Return segments of an image, from the network or propagated, as what is potentially dynamic in it."""
         config = self.config
         segments = without_specks(known.segments, config.regions.min_px)
@@ -144,7 +144,7 @@ class OnnxMasks:
             reading.segments, config.every, config.latency_frames, config.carry, config.refine, schedule
         )
 
-    def __call__(self, image: RgbdImage) -> Semantics:
+    def __call__(self, image: Image) -> Semantics:
         """Return what is potentially dynamic in the image.
 
         Raises:
@@ -161,7 +161,7 @@ class OnnxKeyframeMasks:
         self.reading, config = reading, reading.config
         self._masks = AskedMasks(reading.segments, config.carry, config.refine, schedule)
 
-    def __call__(self, image: RgbdImage) -> Semantics:
+    def __call__(self, image: Image) -> Semantics:
         """Return the masks of the last keyframe, propagated to the image; of the first image its own.
 
         Raises:
@@ -169,7 +169,7 @@ class OnnxKeyframeMasks:
         """
         return self.reading.semantics(self._masks(image), image)
 
-    def see(self, image: RgbdImage) -> Semantics:
+    def see(self, image: Image) -> Semantics:
         """Return what the network finds in an image that becomes a keyframe.
 
         Raises:

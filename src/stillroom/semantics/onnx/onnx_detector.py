@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image
 from stillroom.data.semantics import Box
 from stillroom.errors import ConfigError, WeightsError
 from stillroom.geometry.arrays import U8
@@ -64,7 +64,7 @@ class DetectionNetwork:
         """The outputs' shapes as far as the file fixes them."""
         return [list(node.shape or ()) for node in self._session.get_outputs()]
 
-    def fit(self, image: RgbdImage) -> Fit:
+    def fit(self, image: Image) -> Fit:
         """Return where an image lies in the input."""
         return Fit.of((image.width, image.height), self.input_px, self._reading.fit)
 
@@ -103,7 +103,7 @@ class OnnxDetector:
         self._nms_iou = nms_iou
         self._check(network.output_shapes)
 
-    def detect(self, image: RgbdImage) -> tuple[Box, ...]:
+    def detect(self, image: Image) -> tuple[Box, ...]:
         """Return the boxes of the wanted classes, the most confident first.
 
         Raises:

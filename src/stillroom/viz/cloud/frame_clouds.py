@@ -4,7 +4,7 @@ import numpy as np
 
 from stillroom.data.clusters import PLANE, Clusters
 from stillroom.data.dense_cloud import DenseCloud
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image
 from stillroom.data.semantics import Semantics
 from stillroom.geometry.arrays import U8, Bool, Floats
 from stillroom.geometry.camera import Camera
@@ -24,7 +24,7 @@ PITCH_RAD, YAW_RAD = 0.42, 0.5
 """From where clusters are seen: from above, and from the side, so that one stands clear of what is behind it."""
 
 
-def cloud_of_image(image: RgbdImage, camera: Camera, rgb: U8, kept: Bool) -> DenseCloud:
+def cloud_of_image(image: Image, camera: Camera, rgb: U8, kept: Bool) -> DenseCloud:
     """Return the depth of an image as a cloud in the frame of its camera, every second row and column.
 
     Args:
@@ -53,7 +53,7 @@ def points_as_cloud(points_m: Floats, rgb: U8, disc_m: float) -> DenseCloud:
 
 
 def draw_cluster_cloud(
-    image: RgbdImage, camera: Camera, clusters: Clusters, semantics: Semantics, moving: Bool, width_px: int = 960
+    image: Image, camera: Camera, clusters: Clusters, semantics: Semantics, moving: Bool, width_px: int = 960
 ) -> U8:
     """Draw the clusters of an image in space (OC-SLAM, Figure 7), seen from above and from the side.
 

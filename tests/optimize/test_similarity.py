@@ -33,15 +33,17 @@ def shared(seed: int, n: int, noise_px: float, one_way: float = 0.0) -> SharedPo
 
 
 def residuals(S: np.ndarray, points: SharedPoints) -> np.ndarray:
-    """Whitened errors in both images, by the camera's own projection."""
+    """Whitened errors in both images, by the camera's own projection, and of depths."""
     back = sim3.inverse(S)
     forth_px = CAMERA.project(points.of_second_m @ S[:3, :3].T + S[:3, 3]) - points.first_px
     seen = points.second_weights > 0
+    depth = np.log((points.of_second_m @ S[:3, :3].T + S[:3, 3])[seen, 2] / points.of_first_m[seen, 2])
     back_px = CAMERA.project(points.of_first_m[seen] @ back[:3, :3].T + back[:3, 3]) - points.second_px[seen]
     return np.concatenate(
         (
             (np.sqrt(points.first_weights)[:, None] * forth_px).ravel(),
             (np.sqrt(points.second_weights[seen])[:, None] * back_px).ravel(),
+            depth / SimilarityConfig().depth_sigma,
         )
     )
 
@@ -61,17 +63,31 @@ def test_the_minimum_is_scipys(seed: int, one_way: float) -> None:
 def test_derivatives_are_those_of_finite_differences() -> None:
     points = shared(3, 20, 0.5, 0.3)
     S = S_TRUE @ sim3.exp(np.array([[0.05, -0.04, 0.06, 0.02, 0.03, -0.02, 0.1]]))[0]
-    _, jacobians = similarity._errors(S, points, CAMERA)
+    terms = similarity._terms(S, points, CAMERA, 0.05)
     for k in range(7):
         step = np.zeros((1, 7))
         step[0, k] = 1e-6
-        ahead, _ = similarity._errors(S @ sim3.exp(step)[0], points, CAMERA)
-        behind, _ = similarity._errors(S @ sim3.exp(-step)[0], points, CAMERA)
-        for J, (more, _), (less, _), weight in zip(
-            jacobians, ahead, behind, (points.first_weights, points.second_weights), strict=True
-        ):
-            seen = weight > 0
-            np.testing.assert_allclose(J[seen, :, k], (more - less)[seen] / 2e-6, rtol=1e-5, atol=1e-4)
+        ahead = similarity._terms(S @ sim3.exp(step)[0], points, CAMERA, 0.05)
+        behind = similarity._terms(S @ sim3.exp(-step)[0], points, CAMERA, 0.05)
+        for term, more, less in zip(terms, ahead, behind, strict=True):
+            seen = term.weight > 0
+            numeric = (more.error - less.error)[seen] / 2e-6
+            np.testing.assert_allclose(term.jacobian[seen, :, k], numeric, rtol=1e-5, atol=1e-4)
+
+
+def test_the_scale_is_known_where_both_cameras_stand_at_one_place() -> None:
+    """There the images say nothing of it: pixels fit at any scale."""
+    rng = np.random.default_rng(6)
+    points, scale = shared(5, 80, 0.3), float(sim3.scale(S_TRUE))
+    of_first_m = scale * points.of_second_m
+    unsure = 1.0 + 0.05 * rng.normal(size=(80, 1))  # the first map's depths
+    here = replace(points, of_first_m=of_first_m * unsure, first_px=CAMERA.project(of_first_m))
+    start = sim3.of(np.eye(4), 1.2 * scale)
+    px = similarity.chi2(start, here, CAMERA)
+    assert (px[0] < 1e-9).all()
+    assert (px[1] <= similarity.CHI2).mean() > 0.95
+    found = SimilarityOptimizer()(start, here, CAMERA)
+    assert float(sim3.scale(found.S_first_second)) == pytest.approx(scale, rel=0.015)
 
 
 def test_wrong_pairs_are_told_and_do_not_pull() -> None:

@@ -1,13 +1,16 @@
 """The similarity between two cameras that see the same points, each in its own map of another scale.
 
 ORB-SLAM2's OptimizeSim3 (Mur-Artal et al. 2015, section VI-B; docs/reference.md#orb-slam2-loops): reprojection errors
-in both images, over the seven degrees of freedom of Sim(3).
+in both images, over the seven degrees of freedom of Sim(3). Differs: where both know a point, its two depths count as
+well. Two cameras at nearly the same place, as at the end of a loop, see the same whatever the scale; depths tell it.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from stillroom.bounds import bounded
 from stillroom.geometry import sim3, twists
 from stillroom.geometry.arrays import F64, Bool, Floats
 from stillroom.geometry.camera import Camera
@@ -60,10 +63,12 @@ class SimilarityConfig:
 
     Attributes:
         first_iterations, iterations: Steps with all points, and then with those that agree.
+        depth_sigma: Standard deviation of the ratio of a point's two depths, which weighs them against pixels.
     """
 
-    first_iterations: int = 5
-    iterations: int = 10
+    first_iterations: int = bounded(5, least=0)
+    iterations: int = bounded(10, least=1)
+    depth_sigma: float = bounded(0.05, above=0)
 
     def build(self) -> "SimilarityOptimizer":
         """Return the optimiser."""
@@ -81,48 +86,66 @@ class SimilarityOptimizer:
         S = np.array(S_first_second, dtype=np.float64)
         used = np.ones(len(points.first_weights), dtype=np.bool_)
         for n_steps in (self.config.first_iterations, self.config.iterations):
-            S = _minimized(S, points, used, camera, n_steps)
+            S = _minimized(S, points, used, camera, n_steps, self.config.depth_sigma)
             used = (chi2(S, points, camera) <= CHI2).all(axis=0)
         return SimilarityEstimate(S, used)
 
 
 def chi2(S_first_second: F64, points: SharedPoints, camera: Camera) -> F64:
     """Return the weighted squared errors (2, N) in the first and the second image; infinite behind a camera."""
-    errors, _ = _errors(S_first_second, points, camera)
-    return np.stack([_chi2(*one) for one in errors])
+    return np.stack([term.chi2 for term in _terms(S_first_second, points, camera, 1.0)[:2]])
 
 
-def _minimized(S: F64, points: SharedPoints, used: Bool, camera: Camera, n_steps: int) -> F64:
+def _minimized(S: F64, points: SharedPoints, used: Bool, camera: Camera, n_steps: int, depth_sigma: float) -> F64:
     damping, growth = _DAMPING, 2.0
-    errors, jacobians = _errors(S, points, camera)
-    cost = _cost(errors, used)
+    terms = _terms(S, points, camera, depth_sigma)
+    cost = _cost(terms, used)
     for _ in range(n_steps):
-        H, gradient = _normal_equations(errors, jacobians, used)
+        H, gradient = _normal_equations(terms, used)
         H[np.diag_indices(7)] += damping * np.diag(H) + _FLOOR
         trial = S @ sim3.exp(np.linalg.solve(H, -gradient)[None])[0]
-        trial_errors, trial_jacobians = _errors(trial, points, camera)
-        trial_cost = _cost(trial_errors, used)
+        trial_terms = _terms(trial, points, camera, depth_sigma)
+        trial_cost = _cost(trial_terms, used)
         if not trial_cost <= cost:
             damping, growth = damping * growth, 2.0 * growth
             continue
-        S, errors, jacobians, cost = trial, trial_errors, trial_jacobians, trial_cost
+        S, terms, cost = trial, trial_terms, trial_cost
         damping, growth = damping / 3.0, 2.0
     return S
 
 
-_Errors = tuple[tuple[F64, F64], tuple[F64, F64]]
-"""Errors (N, 2) [px] and weights (N,) in the first image and in the second; a weight is infinite behind the camera."""
+@dataclass(frozen=True)
+class _Term:
+    """Errors (N, D) of one kind, their derivatives (N, D, 7) by ξ in S exp(ξ), and weights (N,).
+
+    A weight is infinite where a point is behind the camera, and 0 where there is no such error.
+    """
+
+    error: F64
+    jacobian: F64
+    weight: F64
+
+    @property
+    def chi2(self) -> F64:
+        """Weighted squares (N,)."""
+        known = np.isfinite(self.weight)
+        return np.where(known, np.where(known, self.weight, 0.0) * (self.error**2).sum(axis=1), np.inf)
 
 
-def _errors(S: F64, points: SharedPoints, camera: Camera) -> tuple[_Errors, tuple[F64, F64]]:
-    """Return the errors in both images, and their derivatives (N, 2, 7) by ξ in S exp(ξ)."""
+def _terms(S: F64, points: SharedPoints, camera: Camera, depth_sigma: float) -> tuple[_Term, _Term, _Term]:
+    """Return the errors in both images [px], and those of the logarithm of the depth in the first camera."""
     S_second_first = sim3.inverse(S)
-    q = np.asarray(points.of_second_m, dtype=np.float64)
+    q, known = np.asarray(points.of_second_m, dtype=np.float64), np.asarray(points.of_first_m, dtype=np.float64)
     p = q @ S[:3, :3].T + S[:3, 3]
-    r = np.asarray(points.of_first_m, dtype=np.float64) @ S_second_first[:3, :3].T + S_second_first[:3, 3]
-    forth, by_p = _projected(p, points.first_px, points.first_weights, camera)
-    back, by_r = _projected(r, points.second_px, points.second_weights, camera)
-    return (forth, back), (by_p @ (S[:3, :3] @ _of_points(q)), -by_r @ _of_points(r))
+    r = known @ S_second_first[:3, :3].T + S_second_first[:3, 3]
+    p_by, r_by = S[:3, :3] @ _of_points(q), -_of_points(r)
+    ahead = (points.second_weights > 0) & (p[:, 2] > MIN_DEPTH_M) & (known[:, 2] > MIN_DEPTH_M)
+    z, z_known = np.where(ahead, p[:, 2], 1.0), np.where(ahead, known[:, 2], 1.0)
+    return (
+        _projected(p, p_by, points.first_px, points.first_weights, camera),
+        _projected(r, r_by, points.second_px, points.second_weights, camera),
+        _Term(np.log(z / z_known)[:, None], p_by[:, 2:] / z[:, None, None], ahead / depth_sigma**2),
+    )
 
 
 def _of_points(x: F64) -> F64:
@@ -130,8 +153,8 @@ def _of_points(x: F64) -> F64:
     return np.concatenate((np.broadcast_to(np.eye(3), (len(x), 3, 3)), -twists.skew(x), x[:, :, None]), axis=2)
 
 
-def _projected(x: F64, seen_px: Floats, weights: Floats, camera: Camera) -> tuple[tuple[F64, F64], F64]:
-    """Return errors (N, 2) [px] and weights (N,) of points (N, 3), and derivatives (N, 2, 3) by them."""
+def _projected(x: F64, x_by: F64, seen_px: Floats, weights: Floats, camera: Camera) -> _Term:
+    """Return the errors of points (N, 3) of a camera, whose derivatives (N, 3, 7) are known, in its image."""
     ahead = x[:, 2] > MIN_DEPTH_M
     z = np.where(ahead, x[:, 2], 1.0)
     u, v = x[:, 0] / z, x[:, 1] / z
@@ -140,29 +163,22 @@ def _projected(x: F64, seen_px: Floats, weights: Floats, camera: Camera) -> tupl
     by_x[:, 0, 0], by_x[:, 0, 2] = camera.fx / z, -camera.fx * u / z
     by_x[:, 1, 1], by_x[:, 1, 2] = camera.fy / z, -camera.fy * v / z
     weight = np.asarray(weights, dtype=np.float64)
-    return (error, np.where(ahead | (weight == 0.0), weight, np.inf)), by_x
+    return _Term(error, by_x @ x_by, np.where(ahead | (weight == 0.0), weight, np.inf))
 
 
-def _chi2(error: F64, weight: F64) -> F64:
-    known = np.where(np.isfinite(weight), weight, 0.0)
-    return np.where(np.isfinite(weight), known * (error**2).sum(axis=1), np.inf)
-
-
-def _cost(errors: _Errors, used: Bool) -> float:
+def _cost(terms: Sequence[_Term], used: Bool) -> float:
     """Return Huber's Σρ(χ²); a point behind a camera counts as one a million σ off."""
-    total = 0.0
-    for one in errors:
-        found = np.minimum(_chi2(*one)[used], 1e12)
-        total += float(np.where(found <= CHI2, found, 2.0 * np.sqrt(CHI2 * found) - CHI2).sum())
-    return total
+    found = np.minimum(np.concatenate([term.chi2[used] for term in terms]), 1e12)
+    return float(np.where(found <= CHI2, found, 2.0 * np.sqrt(CHI2 * found) - CHI2).sum())
 
 
-def _normal_equations(errors: _Errors, jacobians: tuple[F64, F64], used: Bool) -> tuple[F64, F64]:
+def _normal_equations(terms: Sequence[_Term], used: Bool) -> tuple[F64, F64]:
     H, gradient = np.zeros((7, 7)), np.zeros(7)
-    for (error, weight), J in zip(errors, jacobians, strict=True):
-        counted = np.flatnonzero(used & np.isfinite(weight))
-        factor = np.sqrt(CHI2 / np.maximum(_chi2(error, weight)[counted], CHI2)) * weight[counted]
-        weighted = factor[:, None, None] * J[counted]
-        H += np.einsum("nij,nik->jk", weighted, J[counted])
-        gradient += np.einsum("nij,ni->j", weighted, error[counted])
+    for term in terms:
+        counted = np.flatnonzero(used & np.isfinite(term.weight))
+        J, error = term.jacobian[counted], term.error[counted]
+        factor = np.sqrt(CHI2 / np.maximum(term.chi2[counted], CHI2)) * term.weight[counted]
+        weighted = factor[:, None, None] * J
+        H += np.einsum("nij,nik->jk", weighted, J)
+        gradient += np.einsum("nij,ni->j", weighted, error)
     return H, gradient

@@ -58,13 +58,13 @@ class Ring:
         return len(self.T_true) - 1
 
     def scales(self) -> np.ndarray:
-        """How long a metre around each keyframe is in the map: the median over the points that it sees."""
+        """How long a metre around each keyframe is in the map, by the points that it sees; NaN of a culled one."""
         world, found = self.map, []
         for k, T_true in enumerate(self.T_true):
             own = world.points_of(k)
             seen_m = self.small.world.points_m[self.small.seen[k][own >= 0]]
             far = np.linalg.norm(world.points.position_m[own[own >= 0]] - world.keyframes.T_world_cam[k, :3, 3], axis=1)
-            found.append(np.median(far / np.linalg.norm(seen_m - T_true[:3, 3], axis=1)))
+            found.append(np.median(far / np.linalg.norm(seen_m - T_true[:3, 3], axis=1)) if len(far) else np.nan)
         return np.array(found)
 
     def errors_m(self) -> np.ndarray:

@@ -54,9 +54,7 @@ def test_right_pairs_are_told_from_wrong_ones(seed: int, wrong: float) -> None:
 
 def test_the_same_seed_gives_the_same_motion() -> None:
     source, target, _ = clouds(7, 80, 0.5, 0.01)
-    fits = [
-        fit_robustly(source, target, within(source, target, 0.02), np.random.default_rng(3)) for _ in range(2)
-    ]
+    fits = [fit_robustly(source, target, within(source, target, 0.02), np.random.default_rng(3)) for _ in range(2)]
     assert fits[0] is not None
     assert fits[1] is not None
     np.testing.assert_array_equal(fits[0].T_target_source, fits[1].T_target_source)

@@ -7,8 +7,8 @@ from ring_map import Ring, ring
 from small_world import CAMERA
 
 from stillroom.geometry import se3
-from stillroom.loops.moves import Places, follow_keyframes, move
 from stillroom.loops.global_bundle import GlobalBundle
+from stillroom.loops.moves import Places, follow_keyframes, move
 from stillroom.loops.verdict import Snapshot
 from stillroom.optimize.bundle import BundleConfig
 

@@ -97,7 +97,9 @@ def test_points_of_both_lie_where_they_are() -> None:
     world = made.map
     own = world.points_of(NEWEST)
     seen = np.flatnonzero(own >= 0)
-    px = CAMERA.project(se3.transform(se3.inverse(world.keyframes.T_world_cam[NEWEST]), world.points.position_m[own[seen]]))
+    px = CAMERA.project(
+        se3.transform(se3.inverse(world.keyframes.T_world_cam[NEWEST]), world.points.position_m[own[seen]])
+    )
     off_px = np.linalg.norm(px - world.keypoints.px[world.rows(NEWEST)][seen], axis=1)
     assert np.median(off_px) < 1.0
     far = np.linalg.norm(world.points.position_m[own[seen]] - world.keyframes.T_world_cam[NEWEST, :3, 3], axis=1)

@@ -138,7 +138,9 @@ def test_sixty_metres_close_to_one_per_cent(seed: int) -> None:
     assert ate_m(made) < 0.05
 
 
-@pytest.mark.parametrize("changes", [{"drift_scale": 0.01, "drift_scale_per_m": 0.0}, {"drift_rad": 0.0, "sight_rad": 0.0}])
+@pytest.mark.parametrize(
+    "changes", [{"drift_scale": 0.01, "drift_scale_per_m": 0.0}, {"drift_rad": 0.0, "sight_rad": 0.0}]
+)
 def test_what_drift_cannot_have_brought_about_is_refused(changes: dict[str, float]) -> None:
     made = monocular_ring()
     before = contents(made.map)

@@ -104,8 +104,9 @@ def sentences(table: Sequence[Way]) -> list[str]:
     first = table[0].accuracy
     boxed = table[0].boxed
     n = len(first.trials)
+    aligned = aligned_by([way.accuracy for way in table])
     lines = [
-        f"ATE: RMSE after {aligned_by([way.accuracy for way in table])} alignment, ground truth as given, median of {n} run{'s' if n > 1 else ''}; "
+        f"ATE: RMSE after {aligned} alignment, ground truth as given, median of {n} run{'s' if n > 1 else ''}; "
         "static kept: keypoints judged static per tracked frame in which the detector sees something movable "
         f"({boxed.n_frames if boxed else 0} of {first.trials[0].n_given} frames); against boxes: in those that both "
         "tracked; in use: map points that agree with the pose there",

@@ -9,11 +9,17 @@ from stillroom.cli.arguments import MAX_GAP_S, PLOT_FORMATS, Formats, chosen_of
 from stillroom.errors import ConfigError, TrajectoryError
 
 if TYPE_CHECKING:
-    from stillroom.evaluation.trajectory_errors import Alignment
     from stillroom.evaluation.time_matching import TimeMatching
+    from stillroom.evaluation.trajectory_errors import Alignment
     from stillroom.pipeline.results import Truth
 
 DEFAULT_FOLDER = Path("results/latest")
+Sequence = Annotated[
+    str | None, typer.Option(metavar="SEQUENCE", help="The sequence whose ground truth it is, instead of a file.")
+]
+Baseline = Annotated[
+    Path | None, typer.Option(metavar="PATH", help="Another folder, or file, to report the improvement over.")
+]
 Out = Annotated[Path | None, typer.Option(metavar="DIR", help="Where figures and pictures of an estimate go.")]
 MaxGap = Annotated[float, typer.Option(metavar="S", help="Poses further apart in time than this are not compared.")]
 Offset = Annotated[
@@ -42,12 +48,8 @@ def evaluate(
     groundtruth: Annotated[
         Path | None, typer.Option(metavar="FILE", help="The ground truth of the estimate, in the TUM format.")
     ] = None,
-    sequence: Annotated[
-        str | None, typer.Option(metavar="SEQUENCE", help="The sequence whose ground truth it is, instead of a file.")
-    ] = None,
-    baseline: Annotated[
-        Path | None, typer.Option(metavar="PATH", help="Another folder, or file, to report the improvement over.")
-    ] = None,
+    sequence: Sequence = None,
+    baseline: Baseline = None,
     out: Out = None,
     max_gap: MaxGap = MAX_GAP_S,
     offset: Offset = "0",

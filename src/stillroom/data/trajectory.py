@@ -12,7 +12,6 @@ from stillroom.errors import TrajectoryError
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64
 
-
 UP_TO_SCALE = "up to scale"
 """What a comment in a file says of a trajectory that is not metric."""
 

@@ -93,7 +93,9 @@ def similar_of_samples(source_m: F64, target_m: F64) -> F64:
     """
     motions = rigid_of_samples(source_m, target_m)
     mean_source, mean_target = source_m.mean(axis=1, keepdims=True), target_m.mean(axis=1, keepdims=True)
-    extents2 = [np.sum((points - mean) ** 2, axis=(1, 2)) for points, mean in ((source_m, mean_source), (target_m, mean_target))]
+    extents2 = [
+        np.sum((points - mean) ** 2, axis=(1, 2)) for points, mean in ((source_m, mean_source), (target_m, mean_target))
+    ]
     known = (extents2[0] > 0.0) & (extents2[1] > 0.0)
     scale = np.sqrt(np.where(known, extents2[1], 1.0) / np.where(known, extents2[0], 1.0))
     motions[:, :3, :3] *= scale[:, None, None]

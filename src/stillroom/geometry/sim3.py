@@ -85,7 +85,7 @@ def inverse_right_jacobian(tangents: Floats) -> F64:
     """Return the derivatives (N, 7, 7) of `log(exp(r) exp(ξ))` by ξ at 0, for tangents r (N, 7)."""
     opposite = -_small_adjoint(np.asarray(tangents, dtype=np.float64))
     unit = np.eye(7)
-    jacobians = np.broadcast_to(unit, opposite.shape)
+    jacobians: F64 = np.broadcast_to(unit, opposite.shape)
     for k in range(_TERMS, 1, -1):  # Σ (−ad)ⁿ / (n + 1)!, from the last term on
         jacobians = unit + opposite @ jacobians / k
     inverted: F64 = np.linalg.inv(jacobians)

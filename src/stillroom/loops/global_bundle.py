@@ -64,7 +64,8 @@ class GlobalBundle:
         """Write the result to the map, and remove outliers."""
         keyframes, points, table = world.keyframes, world.points, world.keypoints
         before = Places.of(world)
-        result = freedom_of(world).in_gauge(result, self._problem.points_world_m, self._problem.is_fixed)
+        problem = self._problem
+        result = freedom_of(world).in_gauge(result, np.asarray(problem.points_world_m), problem.is_fixed)
         moved = keyframes.is_alive[self._keyframes] & self._moves
         keyframes.T_world_cam[self._keyframes[moved]] = se3.inverse(result.T_cam_world[moved])
         carry_newer(self._n_known, before, world)

@@ -84,10 +84,10 @@ class SimilarityOptimizer:
     def __call__(self, S_first_second: Floats, points: SharedPoints, camera: Camera) -> SimilarityEstimate:
         """Minimise the errors in both images, from a first guess (4, 4) on; the same camera took both."""
         S = np.array(S_first_second, dtype=np.float64)
-        used = np.ones(len(points.first_weights), dtype=np.bool_)
+        used: Bool = np.ones(len(points.first_weights), dtype=np.bool_)
         for n_steps in (self.config.first_iterations, self.config.iterations):
             S = _minimized(S, points, used, camera, n_steps, self.config.depth_sigma)
-            used = (chi2(S, points, camera) <= CHI2).all(axis=0)
+            used = np.asarray((chi2(S, points, camera) <= CHI2).all(axis=0))
         return SimilarityEstimate(S, used)
 
 

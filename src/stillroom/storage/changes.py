@@ -62,7 +62,10 @@ class Changes:
         scale = self._present.scale
         if (scale == 1.0).all():
             return list(frames)
-        return [replace(note, T_reference_cam=_grown(note.T_reference_cam, scale[note.reference_keyframe])) for note in frames]
+        return [
+            replace(note, T_reference_cam=_grown(note.T_reference_cam, scale[note.reference_keyframe]))
+            for note in frames
+        ]
 
     def rescale_frames(self, database: sqlite3.Connection) -> None:
         """Write the frames of earlier commits again whose keyframes have another scale than then."""

@@ -75,8 +75,8 @@ def sentences(rows: Sequence[Row]) -> list[str]:
     """Return notes on how to read the tables, and on the runs that failed."""
     aligned = " or ".join(dict.fromkeys(row.alignment for row in rows)) or Alignment.SE3
     lines = [
-        f"ATE: RMSE [m] after {aligned} alignment, ground truth as given; tracked: the worst run's share of the frames; "
-        "ms a frame: CPU time, network and mapping included, without the dense map, median of the runs' means; "
+        f"ATE: RMSE [m] after {aligned} alignment, ground truth as given; tracked: the worst run's share of the "
+        "frames; ms a frame: CPU time, network and mapping included, without the dense map, median of the runs' means; "
         "runs that failed count in none of these"
     ]
     failed = [row for row in rows if row.error]

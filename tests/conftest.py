@@ -69,7 +69,26 @@ def person_masks() -> Path:
     return _required("STILLROOM_DATA", "person_masks")
 
 
+@pytest.fixture(scope="session")
+def euroc_v101() -> Path:
+    """The EuRoC stretch of pairs: 95 of V1_01, the vehicle at rest."""
+    return _required("STILLROOM_DATA", "euroc_v101_stereo_first95")
+
+
+@pytest.fixture(scope="session")
+def euroc_mh05() -> Path:
+    """The EuRoC stretch of one camera: 200 images of MH_05."""
+    return _required("STILLROOM_DATA", "euroc_mh05_mono_first200")
+
+
+@pytest.fixture(scope="session")
+def kitti() -> Path:
+    """The KITTI stretch: 51 pairs, 60 m."""
+    return _required("STILLROOM_DATA", "kitti_stereo_51")
+
+
 REAL_FIXTURES = {"bonn", "freiburg1", "yolo_weights", "deeplab", "mobilenet_backbone", "person_masks"}
+REAL_FIXTURES |= {"euroc_v101", "euroc_mh05", "kitti"}
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -28,12 +28,13 @@ class StoredFrame:
 
     Attributes:
         rgb: (H, W, 3) uint8.
-        depth_units: (H, W) uint16; 0 where unknown.
+        measured: What else the sensor gives (H, W) uint16: depth in its units, 0 where unknown; of a pair of cameras
+            the brightness of the right image.
         instance: (H, W) uint8.
     """
 
     rgb: U8
-    depth_units: U16
+    measured: U16
     instance: U8
 
 
@@ -89,7 +90,7 @@ def _write_whole(path: Path, content: bytes) -> None:
 
 
 def _packed(frame: StoredFrame) -> bytes:
-    body = frame.rgb.tobytes() + frame.depth_units.tobytes() + frame.instance.tobytes()
+    body = frame.rgb.tobytes() + frame.measured.tobytes() + frame.instance.tobytes()
     return HEADER.pack(MAGIC, zlib.crc32(body), *frame.instance.shape) + body
 
 
@@ -102,10 +103,10 @@ def _unpacked(content: bytes) -> StoredFrame | None:
     if magic != MAGIC or len(body) != BYTES_PER_PIXEL * pixels or zlib.crc32(body) != checksum:
         return None
     rgb = np.frombuffer(body, np.uint8, 3 * pixels).reshape(height, width, 3)
-    depth_units = np.frombuffer(body, np.uint16, pixels, 3 * pixels).reshape(height, width)
+    measured = np.frombuffer(body, np.uint16, pixels, 3 * pixels).reshape(height, width)
     instance = np.frombuffer(body, np.uint8, pixels, 5 * pixels).reshape(height, width)
     # Copies, so that the arrays can be written to, as those just rendered: kernels are compiled for one kind only.
-    return StoredFrame(rgb.copy(), depth_units, instance.copy())
+    return StoredFrame(rgb.copy(), measured, instance.copy())
 
 
 def _make_room(folder: Path, budget_bytes: int) -> None:

@@ -6,12 +6,15 @@ from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
+from stillroom.data.sensor import Sensor
 from stillroom.errors import ConfigError, DatasetError
 from stillroom.geometry.camera import LONGEST_READOUT_S
 from stillroom_scenes import PREFIX
 from stillroom_scenes.camera_path import PATHS
+from stillroom_scenes.eyes import parallel_eyes, turned_eyes
+from stillroom_scenes.pair_room import PairRoom
 from stillroom_scenes.render import World
-from stillroom_scenes.room import SyntheticRoom
+from stillroom_scenes.room import CAMERA, SyntheticRoom
 from stillroom_scenes.scene.layout import ROOMS
 from stillroom_scenes.scene.people.choreography import FIGURES
 from stillroom_scenes.worlds.corridor import corridor
@@ -21,6 +24,9 @@ from stillroom_scenes.worlds.single import single_room
 KEYS = {"frames": "n_frames"}  # short names in a spec; the others are the fields'
 WAYS = {"corridor": "round", "building": "tour"}  # the only path there
 WALKERS = ("none", "walking")  # the only figures there
+NO_PAIR = "none"
+EYES = {"rectified": parallel_eyes, "turned": turned_eyes}
+"""The pairs of cameras."""
 ONLY_PEOPLE = ("walking", "standing")
 """Figures without which the room is the same; what is carried or pushed must be somewhere."""
 
@@ -45,6 +51,8 @@ class SyntheticConfig:
         noise: Whether the sensor has noise, quantisation, holes and a limited range; if not, depth is exact to 0.2 mm.
         readout_ms: Time in which the rows of a colour image are read, a rolling shutter [ms]; 0: all at once. Depth is
             taken at once, in the middle of it.
+        stereo: A pair of cameras in place of the RGB-D one: rectified, or turned (distorted, the right one by 1°;
+            their images are rectified as they are read). none: no pair.
         cache: Whether frames are kept in the user's cache folder.
     """
 
@@ -59,6 +67,7 @@ class SyntheticConfig:
     alike: bool = True
     noise: bool = True
     readout_ms: float = 0.0
+    stereo: str = "none"
     cache: bool = True
 
     def build(self) -> SyntheticRoom:
@@ -79,6 +88,8 @@ class SyntheticConfig:
             raise ConfigError(
                 f"synthetic: readout_ms is {self.readout_ms}; it must be 0 to {longest_ms:.3g}, the time of a frame"
             )
+        if self.readout_ms and self.stereo in EYES:
+            raise ConfigError("synthetic: readout_ms is for the RGB-D camera; leave it out of a stereo sequence")
         if self.seed < 0:
             raise ConfigError(f"synthetic: seed is {self.seed}; it must be 0 or more")
         if not 1 <= self.rooms <= MOST_ROOMS:
@@ -88,18 +99,21 @@ class SyntheticConfig:
         name = self.name or self._own_name()
         # The name and the cache do not change what a frame looks like.
         looks = repr(replace(self, name="", cache=True)) if self.cache else None
-        readout_s = 1e-3 * self.readout_ms
-        room = SyntheticRoom(name, self._world(), self.n_frames, self.fps, self.seed, self.noise, looks, readout_s)
+        common = self.n_frames, self.fps, self.seed, self.noise, looks
+        if self.stereo in EYES:
+            room: SyntheticRoom = PairRoom(name, self._world(), EYES[self.stereo](CAMERA), *common)
+        else:
+            room = SyntheticRoom(name, self._world(), *common, 1e-3 * self.readout_ms)
         if self.figures in ONLY_PEOPLE:
             room.empty = replace(self, name="", figures="none").build
         return room
 
     def _choices(self) -> tuple[tuple[str, Iterable[str]], ...]:
         """Return what each key may be."""
-        rooms = ("room", (*ROOMS, *WAYS))
+        rooms, stereo = ("room", (*ROOMS, *WAYS)), ("stereo", (NO_PAIR, *EYES))
         if self.room in WAYS:
-            return rooms, ("path", (WAYS[self.room],)), ("figures", WALKERS)
-        return rooms, ("path", PATHS), ("figures", FIGURES)
+            return rooms, stereo, ("path", (WAYS[self.room],)), ("figures", WALKERS)
+        return rooms, stereo, ("path", PATHS), ("figures", FIGURES)
 
     def _world(self) -> World:
         if self.room == "corridor":
@@ -112,10 +126,13 @@ class SyntheticConfig:
         rate = "" if self.fps == 30.0 else f"_{self.fps:g}fps"
         exact = "" if self.noise else "_exact"
         rolling = f"_readout{self.readout_ms:g}ms" if self.readout_ms else ""
+        pair = "" if self.stereo == NO_PAIR else "_stereo" if self.stereo == "rectified" else f"_stereo_{self.stereo}"
         place = self.room
         if self.room == "building":
             place = f"building_{self.rooms}_{'alike' if self.alike else 'different'}"
-        return f"synthetic_{self.figures}_{self.path}_{place}_{self.n_frames}{rate}_seed{self.seed}{exact}{rolling}"
+        return (
+            f"synthetic_{self.figures}_{self.path}_{place}_{self.n_frames}{rate}_seed{self.seed}{exact}{rolling}{pair}"
+        )
 
 
 PRESETS = {
@@ -131,17 +148,21 @@ PRESETS = {
 }
 
 
-def open_synthetic(spec: str) -> SyntheticRoom:
+def open_synthetic(spec: str, sensor: Sensor | None = None) -> SyntheticRoom:
     """Open a rendered sequence from one line: `synthetic:walking,frames=300,seed=3,path=loop`.
 
     Args:
         spec: `synthetic:` and a preset, `key=value` pairs, or both, with commas between.
+        sensor: The sensor asked for: a stereo one is a rectified pair, where the line names no pair.
 
     Raises:
         DatasetError: There is no such preset.
         ConfigError: A key or value is wrong; the message names the nearest.
     """
-    return parse_spec(spec).build()
+    config = parse_spec(spec)
+    if sensor is Sensor.STEREO and config.stereo == NO_PAIR:
+        config = replace(config, stereo="rectified")
+    return config.build()
 
 
 def parse_spec(spec: str) -> SyntheticConfig:

@@ -13,7 +13,7 @@ def _open(asked: SequenceRequest, camera: str | None, fps: float | None) -> Rend
         )
     from stillroom_scenes.config import open_synthetic  # the renderer and its kernels, for those who want a room
 
-    return open_synthetic(asked.text)
+    return open_synthetic(asked.text, asked.sensor)
 
 
 KIND = DatasetKind(

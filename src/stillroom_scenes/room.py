@@ -9,7 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import Image, RgbdImage
 from stillroom.data.semantics import Box, Instance, Semantics
 from stillroom.data.trajectory import Trajectory
 from stillroom.datasets.recording import Recording
@@ -66,6 +66,7 @@ class SyntheticRoom(Recording):
         noise: bool,
         cache_spec: str | None,
         readout_s: float = 0.0,
+        camera: Camera = CAMERA,
     ) -> None:
         """Take pictures of a world.
 
@@ -78,9 +79,10 @@ class SyntheticRoom(Recording):
             noise: Whether the sensor has any.
             cache_spec: All that decides what frames look like, to find those kept on disk; None to keep none.
             readout_s: Of the camera's rolling shutter [s]; see `Camera.readout_s`.
+            camera: Its calibration otherwise.
         """
         self.name = name
-        self.camera = replace(CAMERA, readout_s=readout_s)
+        self.camera = replace(camera, readout_s=readout_s)
         self.camera_source = "the renderer's own pinhole camera: fx = fy = 525, no distortion, exact"
         self.timestamps_s = np.arange(n_frames) / fps
         self.scene = world.scene
@@ -96,7 +98,7 @@ class SyntheticRoom(Recording):
         """The exact pose of each frame."""
         return Trajectory(self.timestamps_s, self._way.poses(self.timestamps_s))
 
-    def load(self, index: int) -> RgbdImage:
+    def load(self, index: int) -> Image:
         """Return frame `index`, from the cache or rendered.
 
         Raises:
@@ -108,10 +110,13 @@ class SyntheticRoom(Recording):
             stored = self._taken(index)
             if self._cache:
                 self._cache.keep(index, stored)
-        factor = np.float32(self.camera.depth_factor)
-        depth_m = np.divide(stored.depth_units, factor, dtype=np.float32)
         time_s = float(self.timestamps_s[index])
-        return RgbdImage(time_s, stored.rgb, depth_m, index, truth=self._semantics(stored.instance, time_s))
+        return self._image(stored, index, time_s, self._semantics(stored.instance, time_s))
+
+    def _image(self, stored: StoredFrame, index: int, time_s: float, truth: Semantics) -> Image:
+        """Return a stored frame as what the sensor delivers."""
+        depth_m = np.divide(stored.measured, np.float32(self.camera.depth_factor), dtype=np.float32)
+        return RgbdImage(time_s, stored.rgb, depth_m, index, truth=truth)
 
     def truth(self, index: int) -> FrameTruth:
         """Return the ground truth of frame `index`.

@@ -24,9 +24,9 @@ class NoiseTables:
         self.normal = rng.standard_normal(TABLE_SIZE, dtype=np.float32)
         self.colour = np.rint(COLOUR_SIGMA * rng.standard_normal(TABLE_SIZE)).astype(np.int8)
 
-    def places(self, index: int, height: int, width: int) -> I64:
-        """Return where each row (3, H) starts to read: for colour, for depth, for holes."""
-        rng = np.random.default_rng([self._seed, 73, index])
+    def places(self, index: int, height: int, width: int, camera: int = 0) -> I64:
+        """Return where each row (3, H) starts to read: for colour, depth and holes; for the first camera or another."""
+        rng = np.random.default_rng([self._seed, 73 + camera, index])
         return np.asarray(rng.integers(0, TABLE_SIZE - 3 * width, (3, height)), dtype=np.int64)
 
 

@@ -16,7 +16,7 @@ from stillroom.data.image import Image
 from stillroom.data.sensor import Sensor
 from stillroom.data.trajectory import Trajectory
 from stillroom.datasets.open import open_dataset
-from stillroom.datasets.recording import groundtruth_flaw
+from stillroom.datasets.recording import groundtruth_flaw, sensor_of
 from stillroom.errors import CameraError, ConfigError, FrameError
 from stillroom.geometry.camera import Camera
 from stillroom.protocols import Dataset
@@ -51,7 +51,7 @@ class ReplayCamera:
     @property
     def sensor(self) -> Sensor:
         """What kind of camera took the images."""
-        return self._dataset.sensor
+        return sensor_of(self._dataset)
 
     @property
     def camera(self) -> Camera:

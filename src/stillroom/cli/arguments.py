@@ -62,6 +62,16 @@ DepthOffset = Annotated[
 ]
 
 
+SensorName = Annotated[
+    str | None,
+    typer.Option(
+        "--sensor",
+        metavar="NAME",
+        help="Use the images as rgbd, stereo or monocular; monocular drops depth. \\[default: told by the sequence]",
+    ),
+]
+
+
 PLOT_FORMATS = ("png", "svg", "pdf")
 """`FORMATS` of `viz.style`, here because that one loads numpy, and `--help` does not."""
 

@@ -5,6 +5,7 @@ from typing import Annotated
 import typer
 
 from stillroom.cli.arguments import CameraName, ConfigFile, Fps, Frames, Seed, Settings
+from stillroom.errors import ConfigError
 
 STATIC = "orb-slam2"
 """The method that rejects nothing: enough for a room in which nothing moves."""
@@ -38,7 +39,8 @@ def shutter(
     """
     from stillroom.cli.output import STDERR, FrameBar, print_lines, show_log
     from stillroom.cli.warmup import ensure_warm
-    from stillroom.datasets.recording import rendered
+    from stillroom.data.sensor import Sensor
+    from stillroom.datasets.recording import rendered, sensor_of
     from stillroom.pipeline import Source
     from stillroom.pipeline.shutter import calibrate_shutter
     from stillroom.presets.registry import configure
@@ -46,6 +48,8 @@ def shutter(
     show_log()
     chosen = configure(method or (STATIC if config is None else None), config, settings or (), seed)
     dataset = Source(sequence, camera, fps, frames).open()
+    if sensor_of(dataset) is not Sensor.RGBD:
+        raise ConfigError(f"{dataset.name}: has no depth images, from which a readout is told")
     ensure_warm(STDERR, rendered(dataset) is not None)
     bar = FrameBar(STDERR)
     bar.label = "calibrating"

@@ -20,6 +20,7 @@ from stillroom.cli.arguments import (
     Settings,
     TimeUnit,
 )
+from stillroom.errors import ConfigError
 from stillroom.stopping import INTERRUPTED
 
 if TYPE_CHECKING:
@@ -81,13 +82,17 @@ def inpaint(
 def _paint(chosen: "SlamConfig", source: "Source", wanted: "InpaintingRecorderConfig", out: Path | None) -> None:
     from stillroom.cli.output import STDERR, RunBar, say, show_log
     from stillroom.cli.warmup import ensure_warm
-    from stillroom.datasets.recording import rendered
+    from stillroom.config.sensors import NO_DEPTH_IMAGE, has_depth_image
+    from stillroom.datasets.recording import rendered, sensor_of
     from stillroom.pipeline import RunOptions, run
     from stillroom.pipeline.results import chosen_folder, new_folder
     from stillroom.system import segmenter_of
 
     show_log()
     dataset = source.open()
+    if not has_depth_image(chosen, sensor_of(dataset)):
+        why = NO_DEPTH_IMAGE[sensor_of(dataset)]
+        raise ConfigError(f"{dataset.name}: painting over what moves needs depth images, and {why}")
     segmenter = segmenter_of(chosen, dataset.camera)  # now: a missing file is reported before kernels are compiled
     folder = chosen_folder(out) if out is not None else new_folder(Path("results"), chosen.method, dataset.name)
     say(f"{chosen.method} on {dataset.name}: {len(dataset)} images; camera: {dataset.camera_source}")

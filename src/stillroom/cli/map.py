@@ -164,7 +164,8 @@ def info(path: MapPath) -> None:
     n_submaps = len(submaps.unjoined(world))
     print_lines(
         [
-            f"{path}: map format {version}, {megabytes:.1f} MB",
+            f"{path}: map format {version}, {megabytes:.1f} MB, of {world.sensor.words} images"
+            + ("" if world.sensor.is_metric else "; lengths are up to a factor"),
             f"{n_alive} keyframes ({n_all - n_alive} more were culled), {n_points} points seen {n_seen} times; "
             f"{n_submaps} sub-map{'' if n_submaps == 1 else 's'}, {len(world.loop_edges)} loops closed",
             f"camera: {camera.width}×{camera.height}, fx {camera.fx:g}, fy {camera.fy:g}, cx {camera.cx:g}, "

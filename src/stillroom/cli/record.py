@@ -29,12 +29,16 @@ def record(
     """
     from stillroom.cameras.registry import is_camera, open_camera
     from stillroom.cli.output import STDERR, FrameBar, say, show_log
+    from stillroom.data.sensor import Sensor
+    from stillroom.datasets.recording import sensor_of
     from stillroom.pipeline import recording
 
     show_log()
     if not is_camera(camera):
         raise ConfigError(f"{camera}: is no camera; name one like camera:realsense")
     opened = open_camera(camera)
+    if sensor_of(opened) is not Sensor.RGBD:
+        raise ConfigError(f"{camera}: has no depth images; what is recorded is colour and depth")
     bar = FrameBar(STDERR)
     bar.label = "recording"
     with opened as stream:

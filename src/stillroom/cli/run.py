@@ -21,6 +21,7 @@ from stillroom.cli.arguments import (
     Out,
     PairBy,
     Seed,
+    SensorName,
     Settings,
     TimeUnit,
     chosen_of,
@@ -98,6 +99,7 @@ def run(
     pair_by: PairBy = None,
     max_gap: MaxGap = MAX_GAP_S,
     depth_offset: DepthOffset = 0.0,
+    sensor: SensorName = None,
     out: Out = None,
     settings: Settings = None,
     config: ConfigFile = None,
@@ -114,9 +116,8 @@ def run(
 
     Or a camera that is plugged in, until it is stopped; 'stillroom record' keeps what it sees. Writes trajectory,
     figures, pictures and report.html into a folder in results/; Ctrl-C ends a run early and keeps the results so far.
-    Exit code 3 says that nothing was tracked.
-
-    An archive is unpacked once into the user's cache and stays there until you delete it.
+    Exit code 3 says that nothing was tracked. An archive is unpacked once into the user's cache and stays there until
+    you delete it.
 
         stillroom run rgbd_bonn_crowd --method oc-slam
         stillroom run rgbd_bonn_crowd --frames 200: --map room.stillmap --localize
@@ -127,7 +128,7 @@ def run(
 
     chosen = configure(method, config, settings or (), seed)
     pairing = _pairing(time_unit, pair_by, max_gap, depth_offset)
-    source = Source(sequence, camera, fps, frames, tuple(drop or ()), tuple(blackout or ()), reverse, pairing)
+    source = Source(sequence, camera, fps, frames, tuple(drop or ()), tuple(blackout or ()), reverse, pairing, sensor)
     map_file = _map_file(map_, continue_, localize)
     options = RunOptions(
         folder=out,
@@ -192,7 +193,8 @@ def _map_file(path: Path | None, continue_: bool, localize: bool) -> "MapFile | 
 def _track(chosen: "SlamConfig", source: "Source", options: "RunOptions", detector_off: tuple[str, ...]) -> None:
     from stillroom.cli.output import STDERR, RunBar, print_error, say, show_log
     from stillroom.cli.warmup import ensure_warm
-    from stillroom.datasets.recording import rendered
+    from stillroom.config.sensors import fit_to_sensor
+    from stillroom.datasets.recording import rendered, sensor_of
     from stillroom.pipeline import Recorded, Streamed
     from stillroom.pipeline import run as run_pipeline
     from stillroom.pipeline.options import detector_ranges
@@ -212,16 +214,17 @@ def _track(chosen: "SlamConfig", source: "Source", options: "RunOptions", detect
             raise ConfigError("--detector-off names images of a recorded sequence; leave it out")
         ensure_warm(STDERR, loaded=is_paced)  # now: images of a camera that is started do not wait
     with intake.started():
-        origin = intake.origin
+        origin, kind = intake.origin, sensor_of(intake.origin)
+        fit_to_sensor(chosen, kind)  # now: a method of which nothing works here is refused before kernels are compiled
         options = replace(
             options,
             folder=chosen_folder(options.folder) if options.folder is not None else None,
             detector_off=detector_ranges(detector_off, intake.origin) if isinstance(intake, Recorded) else (),
             # Now: a missing file is reported before kernels are compiled.
-            segmenter=segmenter_of(chosen, origin.camera, options.schedule),
+            segmenter=segmenter_of(chosen, origin.camera, options.schedule, kind),
         )
         n_images = "" if intake.n_images is None else f"{intake.n_images} images; "
-        say(f"{chosen.method} on {origin.name}: {n_images}camera: {origin.camera_source}")
+        say(f"{chosen.method} on {origin.name}: {kind.words}; {n_images}camera: {origin.camera_source}")
         if isinstance(intake, Recorded):
             ensure_warm(STDERR, rendered(intake.origin) is not None, loaded=is_paced)
         outcome = run_pipeline(intake, chosen, options, RunBar(STDERR))

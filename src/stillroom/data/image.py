@@ -58,6 +58,11 @@ class Image(ABC):
         """
         raise TypeError(f"a {self.sensor.words} image has no depth image; what needs one must not be built for it")
 
+    @cached_property
+    def known_depth_m(self) -> F32:
+        """Depth (H, W) float32 [m] for what only adds to its evidence: 0, unknown, where there is no depth image."""
+        return self.depth_m if self.has_depth_image else np.zeros((self.height, self.width), dtype=np.float32)
+
     @abstractmethod
     def at(self, index: int, timestamp_s: float) -> Self:
         """Return the same image with another number and time [s]; what was computed of it is not there any more."""

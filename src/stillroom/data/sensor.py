@@ -2,6 +2,8 @@
 
 from enum import StrEnum
 
+from stillroom.errors import ConfigError
+
 
 class Sensor(StrEnum):
     """What a camera gives of the room.
@@ -25,3 +27,15 @@ class Sensor(StrEnum):
     def words(self) -> str:
         """Its name in messages."""
         return "RGB-D" if self is Sensor.RGBD else str(self.value)
+
+
+def sensor_called(name: str) -> Sensor:
+    """Return the kind of camera of a name.
+
+    Raises:
+        ConfigError: None has it.
+    """
+    try:
+        return Sensor(name)
+    except ValueError:
+        raise ConfigError(f"sensor is '{name}'; it must be one of {', '.join(Sensor)}") from None

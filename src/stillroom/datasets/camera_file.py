@@ -32,8 +32,8 @@ DEFAULT_BASELINE_M = 0.075
 """Of a Kinect's projector and camera; what `bf` = 40 comes to on TUM's cameras."""
 
 
-def read_camera(path: Path) -> Camera:
-    """Read a camera file.
+def read_camera(path: Path, has_depth: bool = True) -> Camera:
+    """Read a camera file; that of a camera without depth images may lack the factor.
 
     Raises:
         CalibrationError: The file is missing or is no TOML; a key is unknown, missing or of the wrong type; both
@@ -44,16 +44,18 @@ def read_camera(path: Path) -> Camera:
         if key not in (*REQUIRED, *OPTIONAL):
             guess = get_close_matches(key, (*REQUIRED, *OPTIONAL), n=1, cutoff=0.0)[0]
             raise CalibrationError(f"{path}: unknown key '{key}'; did you mean '{guess}'?")
-    missing = [key for key in REQUIRED if key not in values]
+    required = [key for key in REQUIRED if has_depth or key != "depth_factor"]
+    missing = [key for key in required if key not in values]
     if missing:
-        raise CalibrationError(f"{path}: '{missing[0]}' is missing; a camera needs {', '.join(REQUIRED)}")
+        raise CalibrationError(f"{path}: '{missing[0]}' is missing; a camera needs {', '.join(required)}")
     if "bf" in values and "baseline_m" in values:
         raise CalibrationError(f"{path}: both 'bf' and 'baseline_m' are given; leave one out")
     width, height = _integer(path, values, "width"), _integer(path, values, "height")
     fx, fy, cx, cy = (_number(path, values, key) for key in ("fx", "fy", "cx", "cy"))
     bf = _number(path, values, "bf") if "bf" in values else fx * _baseline_m(path, values)
     read_range(path)
-    depth_factor, distortion = _number(path, values, "depth_factor"), _distortion(path, values)
+    depth_factor = _number(path, values, "depth_factor") if "depth_factor" in values else Camera.depth_factor
+    distortion = _distortion(path, values)
     readout_s = _number(path, values, "readout_s") if "readout_s" in values else 0.0
     try:
         return Camera(width, height, fx, fy, cx, cy, distortion, depth_factor, bf, readout_s)
@@ -180,6 +182,16 @@ NAMED_CAMERAS: dict[str, Camera] = {
         cy=249.701764,
         distortion=(0.231222, -0.784899, -0.003257, -0.000105, 0.917205),
     ),
+    # Burri et al., IJRR 2016; the left camera as its files have it (docs/reference.md#euroc).
+    "euroc": Camera(
+        width=752,
+        height=480,
+        fx=458.654,
+        fy=457.296,
+        cx=367.215,
+        cy=248.375,
+        distortion=(-0.28340811, 0.07395907, 0.00019359, 1.76187114e-05, 0.0),
+    ),
     "tum-freiburg3": Camera(width=640, height=480, fx=535.4, fy=539.2, cx=320.1, cy=247.6),
 }
 
@@ -214,7 +226,7 @@ def named_camera(name: str) -> tuple[str, Camera]:
     return full, NAMED_CAMERAS[full]
 
 
-def choose_camera(folder: Path, sequence_name: str, option: str | None) -> tuple[Camera, str]:
+def choose_camera(folder: Path, sequence_name: str, option: str | None, has_depth: bool = True) -> tuple[Camera, str]:
     """Choose the calibration of a sequence, and say in one line where it comes from.
 
     The order: the explicit option, a name or a file; the sequence's own `camera.toml`; the data set's name.
@@ -223,11 +235,11 @@ def choose_camera(folder: Path, sequence_name: str, option: str | None) -> tuple
         CalibrationError: None of the three gives one, or the one it gives cannot be read.
     """
     if option is not None:
-        return camera_of(option)
+        return camera_of(option, has_depth)
     own = folder / CAMERA_FILE_NAME
     recognised = next((prefix for prefix in RECOGNISED_PREFIXES if sequence_name.startswith(prefix)), None)
     if own.is_file():
-        return _with_known_readout(own, recognised)
+        return _with_known_readout(own, recognised, has_depth)
     if recognised is not None:
         name = RECOGNISED_PREFIXES[recognised]
         return NAMED_CAMERAS[name], f"'{name}', because the sequence is called {recognised}*"
@@ -237,13 +249,13 @@ def choose_camera(folder: Path, sequence_name: str, option: str | None) -> tuple
     )
 
 
-def _with_known_readout(path: Path, recognised: str | None) -> tuple[Camera, str]:
+def _with_known_readout(path: Path, recognised: str | None, has_depth: bool) -> tuple[Camera, str]:
     """Return a sequence's own camera; what it does not say of its shutter is that of the camera of the data set's name.
 
     Raises:
         CalibrationError: The file cannot be read.
     """
-    camera, source = read_camera(path), f"the sequence's own {CAMERA_FILE_NAME}: {path}"
+    camera, source = read_camera(path, has_depth), f"the sequence's own {CAMERA_FILE_NAME}: {path}"
     name = None if recognised is None else RECOGNISED_PREFIXES[recognised]
     if name is None or "readout_s" in _read_toml(path) or NAMED_CAMERAS[name].readout_s == 0.0:
         return camera, source
@@ -261,7 +273,7 @@ def choose_range(folder: Path, option: str | None) -> float:
     return read_range(path) if path is not None and path.is_file() else math.inf
 
 
-def camera_of(option: str) -> tuple[Camera, str]:
+def camera_of(option: str, has_depth: bool = True) -> tuple[Camera, str]:
     """Return the calibration that a name or the path of a camera file stands for, and say in one line which it is.
 
     Raises:
@@ -269,7 +281,7 @@ def camera_of(option: str) -> tuple[Camera, str]:
     """
     path = _file_of(option)
     if path is not None:
-        return read_camera(path), f"the camera file given: {path}"
+        return read_camera(path, has_depth), f"the camera file given: {path}"
     name, camera = named_camera(option)
     return camera, f"'{name}', as given"
 

@@ -14,12 +14,15 @@ from pathlib import Path
 
 import numpy as np
 
-from stillroom.datasets.image_sequence import ImageSequence, build_sequence
+from stillroom.data.sensor import Sensor
+from stillroom.datasets.camera_file import choose_camera
+from stillroom.datasets.image_sequence import GROUNDTRUTH_NAME, ImageSequence, build_sequence, read_groundtruth
 from stillroom.datasets.kind import DatasetKind, SequenceRequest
 from stillroom.datasets.listing import HIDDEN, IMAGE_SUFFIXES, Listing, increasing
+from stillroom.datasets.mono_sequence import MonoSequence
 from stillroom.datasets.pairing import BY_NAME, Pairing, last_number, pair_images
 from stillroom.datasets.time_units import EPOCH_DIGITS, LARGEST_COUNTED_STEP, in_seconds
-from stillroom.datasets.tum import RGB_LIST_NAME, open_tum, require_rate
+from stillroom.datasets.tum import DEPTH_LIST_NAME, RGB_LIST_NAME, WITHOUT_DEPTH, colour_listing, open_tum, require_rate
 from stillroom.errors import DatasetError
 from stillroom.geometry.arrays import F64
 from stillroom.protocols import Dataset
@@ -73,10 +76,46 @@ def open_folder(
     return build_sequence(folder, rgb, depth, camera, name, pairing, pairs)
 
 
+def open_colours(
+    folder: Path,
+    camera: str | None = None,
+    name: str | None = None,
+    fps: float | None = None,
+    pairing: Pairing | None = None,
+) -> MonoSequence:
+    """Open the colour images of a folder that has no depth images, as those of a single camera.
+
+    Arguments are those of `open_folder`.
+
+    Raises:
+        DatasetError: The images are missing, or do not tell when they were taken; or no frame can be used.
+        CalibrationError: No calibration is known, or it does not fit the images.
+        ConfigError: `fps` is not a positive number.
+    """
+    if fps is not None:
+        require_rate(fps)
+    pairing, name = pairing or Pairing(), name or folder.resolve().name
+    if (folder / RGB_LIST_NAME).exists():
+        rgb = colour_listing(folder, fps, pairing)
+    else:
+        files = _images(folder / "rgb")
+        if fps is None or pairing.time_unit or _told_unit(files):
+            rgb = _timed_by_name(folder / "rgb", files, pairing.time_unit)
+        else:
+            rgb = Listing(folder / "rgb", _counted(files, fps), tuple(files))
+        if fps is not None and (pairing.time_unit or _told_unit(files)):
+            rgb = replace(rgb, timestamps_s=rgb.timestamps_s[0] + np.arange(len(rgb.files)) / fps)
+    calibration, source = choose_camera(folder, name, camera, has_depth=False)
+    groundtruth, flaw = read_groundtruth(folder / GROUNDTRUTH_NAME, rgb.timestamps_s)
+    sequence = MonoSequence(name, calibration, source, rgb.timestamps_s, rgb.files, groundtruth, flaw)
+    return sequence.checked(folder)
+
+
 def _images(folder: Path) -> list[Path]:
     """Return the images of a folder in the order of their names, numbers in them counted as numbers."""
     if not folder.is_dir():
-        raise DatasetError(f"{folder.parent}: no {RGB_LIST_NAME} and no folder {folder.name}/ in it")
+        hint = f"; {WITHOUT_DEPTH}" if folder.name == "depth" else ""
+        raise DatasetError(f"{folder.parent}: no {RGB_LIST_NAME} and no folder {folder.name}/ in it{hint}")
     files = [p for p in folder.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and not p.name.startswith(HIDDEN)]
     if not files:
         raise DatasetError(f"{folder}: no images in it; is the sequence complete?")
@@ -134,7 +173,9 @@ def _is_sequence(asked: SequenceRequest) -> bool:
 
 def _open(asked: SequenceRequest, camera: str | None, fps: float | None) -> Dataset:
     assert asked.folder is not None, "recognised by its folder"
-    return open_folder(asked.folder, camera, asked.name, fps, asked.pairing)
+    has_depth = any((asked.folder / name).exists() for name in ("depth", DEPTH_LIST_NAME))
+    open_it = open_colours if asked.sensor is Sensor.MONOCULAR and not has_depth else open_folder
+    return open_it(asked.folder, camera, asked.name, fps, asked.pairing)
 
 
 KIND = DatasetKind(

@@ -7,7 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from stillroom.data.image import Image, RgbdImage
+from stillroom.data.image import RgbdImage
 from stillroom.data.trajectory import Trajectory, read_tum
 from stillroom.datasets.camera_file import choose_camera, choose_range
 from stillroom.datasets.listing import Listing
@@ -20,6 +20,7 @@ from stillroom.geometry.camera import Camera
 
 # EXIF says how the camera was held; the calibration is of the unrotated sensor.
 COLOUR_FLAGS = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
+GRAY_FLAGS = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
 PNG_START, PNG_END = b"\x89PNG", b"IEND\xaeB`\x82"
 JPEG_START, JPEG_END = b"\xff\xd8", b"\xff\xd9"
 log = logging.getLogger(__name__)
@@ -43,6 +44,15 @@ def read_rgb(path: Path) -> U8:
     """
     bgr = _decode(path, COLOUR_FLAGS)
     return np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), dtype=np.uint8)
+
+
+def read_gray(path: Path) -> U8:
+    """Read the brightness (H, W) uint8 of an image.
+
+    Raises:
+        FrameError: The file is missing, cut off, or no image.
+    """
+    return np.asarray(_decode(path, GRAY_FLAGS), dtype=np.uint8)
 
 
 def read_depth_units(path: Path) -> U16:
@@ -162,7 +172,7 @@ class ImageSequence(Recording):
     groundtruth_flaw: str = ""
     range_m: float = np.inf
 
-    def load(self, index: int) -> Image:
+    def load(self, index: int) -> RgbdImage:
         """Read image `index`.
 
         Raises:
@@ -174,7 +184,9 @@ class ImageSequence(Recording):
         rgb, units = _read_pair(self.rgb_files[index], self.depth_files[index])
         expected = (self.camera.height, self.camera.width)
         if rgb.shape[:2] != expected:
-            raise FrameError(f"{self.rgb_files[index]}: {_size(rgb)} pixels; the sequence has {_size_of(self.camera)}")
+            raise FrameError(
+                f"{self.rgb_files[index]}: {size_words(rgb)} pixels; the sequence has {camera_size_words(self.camera)}"
+            )
         units = without_unknown(units, self.camera.depth_factor, self.range_m)
         depth_m = depth_in_metres(units, self.camera.depth_factor)
         return RgbdImage(float(self.timestamps_s[index]), rgb, depth_m, index, self.rgb_files[index].stem)
@@ -208,7 +220,7 @@ def build_sequence(
     name = name or folder.resolve().name
     calibration, source = choose_camera(folder, name, camera)
     of_rgb, of_depth = pairs or pair_images(folder, rgb, depth, pairing or Pairing())
-    groundtruth, flaw = _groundtruth(folder / GROUNDTRUTH_NAME, rgb.timestamps_s)
+    groundtruth, flaw = read_groundtruth(folder / GROUNDTRUTH_NAME, rgb.timestamps_s)
     sequence = ImageSequence(
         name=name,
         camera=calibration,
@@ -226,8 +238,13 @@ def build_sequence(
     return sequence
 
 
-def _groundtruth(path: Path, times_s: F64) -> tuple[Trajectory | None, str]:
-    """Return the ground truth, where there is one that can be used, and what is wrong with one that cannot."""
+def read_groundtruth(path: Path, times_s: F64) -> tuple[Trajectory | None, str]:
+    """Return the ground truth, where there is one that can be used, and what is wrong with one that cannot.
+
+    Args:
+        path: A file in TUM's format, which may be missing.
+        times_s: Times (N,) [s] of the images, by which the unit of its times is told.
+    """
     if not path.exists():
         return None, ""
     try:
@@ -253,8 +270,8 @@ def _probe(folder: Path, sequence: ImageSequence) -> None:
             continue
         if rgb.shape[:2] != (sequence.camera.height, sequence.camera.width):
             raise CalibrationError(
-                f"{rgb_file}: {_size(rgb)} pixels, but the camera ({sequence.camera_source}) has "
-                f"{_size_of(sequence.camera)}; give the calibration of this sequence"
+                f"{rgb_file}: {size_words(rgb)} pixels, but the camera ({sequence.camera_source}) has "
+                f"{camera_size_words(sequence.camera)}; give the calibration of this sequence"
             )
         if (units == NO_DEPTH).any():
             log.warning(
@@ -278,7 +295,12 @@ def _remark(sequence: ImageSequence) -> None:
             n_unpaired,
             n_unpaired + len(sequence),
         )
-    steps_s = np.diff(sequence.timestamps_s)
+    remark_gaps(sequence.name, sequence.timestamps_s)
+
+
+def remark_gaps(name: str, timestamps_s: F64) -> None:
+    """Warn about gaps between the times (N,) [s] of a sequence's images."""
+    steps_s = np.diff(timestamps_s)
     if len(steps_s) == 0:
         return
     # A sequence recorded slowly on purpose needs no warning.
@@ -288,7 +310,7 @@ def _remark(sequence: ImageSequence) -> None:
         worst = int(long[np.argmax(steps_s[long])])
         log.warning(
             "%s: %d gap(s) in time, the longest %.1f s before image %d; tracking may be lost there",
-            sequence.name,
+            name,
             len(long),
             steps_s[worst],
             worst + 1,
@@ -299,14 +321,17 @@ def _read_pair(rgb_file: Path, depth_file: Path) -> tuple[U8, U16]:
     rgb, units = read_rgb(rgb_file), read_depth_units(depth_file)
     if rgb.shape[:2] != units.shape:
         raise FrameError(
-            f"{depth_file}: depth of {_size(units)} pixels, colour of {_size(rgb)}; depth must be registered to colour"
+            f"{depth_file}: depth of {size_words(units)} pixels, colour of {size_words(rgb)}; depth must be registered "
+            "to colour"
         )
     return rgb, units
 
 
-def _size(pixels: U8 | U16) -> str:
+def size_words(pixels: U8 | U16) -> str:
+    """Return the size of an image as width×height."""
     return f"{pixels.shape[1]}×{pixels.shape[0]}"
 
 
-def _size_of(camera: Camera) -> str:
+def camera_size_words(camera: Camera) -> str:
+    """Return the size of a camera's images as width×height."""
     return f"{camera.width}×{camera.height}"

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from stillroom.data.sensor import Sensor
 from stillroom.datasets.pairing import Pairing
 from stillroom.protocols import Dataset
 
@@ -19,12 +20,15 @@ class SequenceRequest:
         name: What the sequence is to be called: the name of the folder, or of the archive where that has none; empty
             while there is no path.
         pairing: How times are to be read and images to be paired; for kinds with `takes_pairing`.
+        sensor: As what kind of camera's its images are to be used; None for what they are. A kind need not heed it: of
+            a sequence of another sensor, `open_dataset` drops what a single camera has not, and refuses the rest.
     """
 
     text: str
     path: Path | None = None
     name: str = ""
     pairing: Pairing = field(default_factory=Pairing)
+    sensor: Sensor | None = None
 
     @property
     def prefix(self) -> str:

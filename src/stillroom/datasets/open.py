@@ -5,9 +5,12 @@ from dataclasses import replace
 from pathlib import Path
 
 from stillroom.data.locations import data_folders, sequence_path
+from stillroom.data.sensor import Sensor, sensor_called
 from stillroom.datasets import archive
 from stillroom.datasets.kind import DatasetKind, SequenceRequest
+from stillroom.datasets.mono_sequence import WithoutDepth
 from stillroom.datasets.pairing import Pairing
+from stillroom.datasets.recording import sensor_of
 from stillroom.datasets.registry import LAST, all_kinds
 from stillroom.datasets.tum import RGB_LIST_NAME
 from stillroom.errors import ConfigError, DatasetError
@@ -17,7 +20,11 @@ SEARCH_DEPTH = 2
 
 
 def open_dataset(
-    path_or_name: str, camera: str | None = None, fps: float | None = None, pairing: Pairing | None = None
+    path_or_name: str,
+    camera: str | None = None,
+    fps: float | None = None,
+    pairing: Pairing | None = None,
+    sensor: Sensor | str | None = None,
 ) -> Dataset:
     """Open a sequence.
 
@@ -28,9 +35,11 @@ def open_dataset(
             the one that goes with the name of a known data set. `camera_source` of the result says which it was.
         fps: Frames per second [1/s], for a folder whose file names or lists do not tell the time.
         pairing: How times are read and images are paired, where the sequence does not tell it by itself.
+        sensor: As what kind of camera's its images are used: "rgbd", "stereo" or "monocular"; what they are where not
+            given. As monocular, depth and right images are dropped.
 
     Raises:
-        DatasetError: There is no such sequence, or it cannot be opened.
+        DatasetError: There is no such sequence, it cannot be opened, or it is not of the sensor asked for.
         CalibrationError: No calibration is known for it, or it does not fit the images.
         ConfigError: An option does not go with this kind of sequence, or an installed package offers what is no kind.
     """
@@ -49,7 +58,25 @@ def open_dataset(
             f"{path_or_name}: sequences of the kind '{kind.name}' know by themselves which images belong together; "
             "leave time-unit, pair-by, max-gap and depth-offset out"
         )
-    return kind.open(replace(asked, pairing=pairing or Pairing()), camera, fps)
+    wanted = None if sensor is None else sensor_called(sensor)
+    return _as_of(wanted, kind.open(replace(asked, pairing=pairing or Pairing(), sensor=wanted), camera, fps))
+
+
+def _as_of(wanted: Sensor | None, dataset: Dataset) -> Dataset:
+    """Return a data set as the images of another kind of camera.
+
+    Raises:
+        DatasetError: They are not.
+    """
+    given = sensor_of(dataset)
+    if wanted is None or wanted is given:
+        return dataset
+    if wanted is Sensor.MONOCULAR:
+        return WithoutDepth(dataset)
+    needed = "depth images" if wanted is Sensor.RGBD else "right images"
+    raise DatasetError(
+        f"{dataset.name}: its images are {given.words} and have no {needed}; leave --sensor {wanted} out"
+    )
 
 
 def _recognised(asked: SequenceRequest, kinds: Iterable[DatasetKind]) -> DatasetKind | None:

@@ -36,6 +36,11 @@ def unpaired_s(dataset: Dataset) -> F64:
     return np.asarray(getattr(dataset, "unpaired_s", ()), dtype=np.float64)
 
 
+def sensor_of(origin: Origin) -> Sensor:
+    """Return what kind of camera takes the images; RGB-D where a data set not built on `Recording` does not say it."""
+    return Sensor(getattr(origin, "sensor", Sensor.RGBD))
+
+
 def groundtruth_flaw(dataset: Origin) -> str:
     """Return why the ground truth that lies with a data set cannot be used; empty where it can, or there is none."""
     return str(getattr(dataset, "groundtruth_flaw", ""))
@@ -117,7 +122,7 @@ class DatasetView:
     @property
     def sensor(self) -> Sensor:
         """What kind of camera takes the images."""
-        return self._inner.sensor
+        return sensor_of(self._inner)
 
     @property
     def camera(self) -> Camera:

@@ -8,7 +8,7 @@ A package adds a kind by an entry point of the group `stillroom.datasets` that n
 So does `stillroom_scenes`, in this very distribution, with its rendered rooms.
 """
 
-from stillroom.datasets import bonn, folder
+from stillroom.datasets import bonn, euroc, folder, kitti
 from stillroom.datasets.kind import DatasetKind
 from stillroom.plugins import PluginGroup
 
@@ -19,7 +19,7 @@ PLUGINS: PluginGroup[DatasetKind] = PluginGroup(
 )
 
 
-OWN = (bonn.KIND,)
+OWN = (bonn.KIND, euroc.KIND, kitti.KIND)
 LAST = folder.KIND
 """Tried after all others: a folder with `rgb/` may well be of a more special kind."""
 

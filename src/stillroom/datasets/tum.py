@@ -21,6 +21,7 @@ from stillroom.geometry.arrays import F64, I64
 RGB_LIST_NAME, DEPTH_LIST_NAME = "rgb.txt", "depth.txt"
 ASSOCIATION = re.compile(r"([-+.\deE]+)[\s,]+(\S+\.\w+)[\s,]+([-+.\deE]+)[\s,]+(\S+\.\w+)")
 """A line of `associate.py`: the time and the file of a colour image, then those of its depth image."""
+WITHOUT_DEPTH = "--sensor monocular tracks by the colour images alone"
 log = logging.getLogger(__name__)
 
 
@@ -66,6 +67,19 @@ def open_tum(
         return build_sequence(folder, rgb, depth, camera, name, pairing)
     rgb, pairs = _at_rate(folder, rgb_rows, depth_rows, pairing, fps)
     return build_sequence(folder, rgb, depth_rows.listing("s"), camera, name, pairing, pairs)
+
+
+def colour_listing(folder: Path, fps: float | None, pairing: Pairing) -> Listing:
+    """Return the colour images of `rgb.txt` alone, with their times.
+
+    Raises:
+        DatasetError: The list is missing, empty or malformed, or the unit of its times cannot be told.
+    """
+    rows = _read_rows(folder / RGB_LIST_NAME)
+    if fps is None:
+        return rows.listing(required_unit(rows.source, rows.words, pairing.time_unit))
+    counts = pairing.time_unit is None and rows.unit() == COUNTER
+    return Listing(rows.source, (rows.numbers() if counts else np.arange(len(rows.files))) / fps, rows.files)
 
 
 def require_rate(fps: float) -> None:
@@ -154,7 +168,10 @@ def _lines(path: Path) -> list[str]:
     try:
         return read_text(path).splitlines()
     except FileNotFoundError:
-        raise DatasetError(f"{path.parent}: no {path.name} in it; is this a sequence in the TUM layout?") from None
+        hint = f"; {WITHOUT_DEPTH}" if path.name == DEPTH_LIST_NAME else ""
+        raise DatasetError(
+            f"{path.parent}: no {path.name} in it; is this a sequence in the TUM layout?{hint}"
+        ) from None
     except (OSError, UnicodeError) as error:
         raise DatasetError(f"{path}: cannot be read as text ({error}) [see troubleshooting: text-files]") from error
 

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
@@ -117,6 +118,8 @@ class DenseMapperConfig:
             stays in any case, and the result of `cloud` comes on top.
         swap_folder: Where that file goes; None for the system's default. It takes about 0.4 MB for each fused image.
     """
+
+    needs_depth_image: ClassVar[bool] = True
 
     voxel_m: float = bounded(0.02, above=0)
     surface: SurfaceConfig = field(default_factory=SurfaceConfig)

@@ -13,6 +13,7 @@ walk along rays.
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
@@ -65,6 +66,8 @@ class OctoMapConfig:
             Voxels come on top.
         swap_folder: Where that file goes; None for the system's default.
     """
+
+    needs_depth_image: ClassVar[bool] = True
 
     resolution_m: float = bounded(0.05, above=0)
     hit: float = bounded(0.7, above=0.5, below=1)

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -54,6 +55,8 @@ class ClusterSieveConfig:
         max_turn_rad_s: While the camera turns faster than this, nothing is evidence for motion: depth that lags behind
             colour makes the room move.
     """
+
+    needs_depth_image: ClassVar[bool] = True
 
     boxes: EpipolarConfig = field(default_factory=EpipolarConfig)
     history: DepthHistoryConfig = field(default_factory=lambda: DepthHistoryConfig(ages_s=(0.3, 0.6, 1.2, 2.4)))

@@ -1,6 +1,7 @@
 """OC-SLAM's epipolar sieve, adapted to real data: what lies in a box is dynamic until it is shown to be static."""
 
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 
@@ -31,6 +32,8 @@ class EpipolarConfig:
         min_agreeing: Earlier depth images that must show the surface.
         history: Those images.
     """
+
+    needs_depth_image: ClassVar[bool] = True
 
     motion_model_px: float = 2.0
     keyframe_px: float = 4.0

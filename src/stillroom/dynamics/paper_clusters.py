@@ -1,6 +1,7 @@
 """OC-SLAM's combined mismatch rejection as printed (2.5): a cluster of which most pairs fail goes, with its box."""
 
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 
@@ -28,6 +29,8 @@ class PaperClustersConfig:
     Attributes:
         pairs: The epipolar constraint.
     """
+
+    needs_depth_image: ClassVar[bool] = True
 
     pairs: PaperEpipolarConfig = field(default_factory=PaperEpipolarConfig)
 

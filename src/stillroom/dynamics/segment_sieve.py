@@ -1,7 +1,7 @@
 """The rule for objects without a movable class: one whose segment moves against the scene is dynamic."""
 
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -57,6 +57,8 @@ class MovedSegmentsConfig:
         margin_px: What lies this close to a moving segment and on no plane or other segment moves too.
         test: When a point moves.
     """
+
+    needs_depth_image: ClassVar[bool] = True
 
     earlier_s: float = bounded(0.2, least=0)
     max_points: int = bounded(24, least=1)

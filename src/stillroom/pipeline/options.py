@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from stillroom.cameras.registry import is_camera, open_camera
+from stillroom.data.sensor import Sensor
 from stillroom.datasets.open import open_dataset
 from stillroom.datasets.pairing import Pairing
 from stillroom.datasets.selection import parse_range, select
@@ -23,7 +24,7 @@ from stillroom.session.plausibility import Doubt
 from stillroom.system import System
 from stillroom.viz.viewer.recording import Destination
 
-OF_SEQUENCES = ("camera", "fps", "frames", "drop", "blackout", "reverse", "pairing")
+OF_SEQUENCES = ("camera", "fps", "frames", "drop", "blackout", "reverse", "pairing", "sensor")
 """What can be asked of a recorded sequence only."""
 
 
@@ -39,6 +40,8 @@ class RunOutcome:
         folder: Where its results lie; None where nothing was to be written.
         system: As it is after the last frame: trajectories, results of all frames, the map.
         clock: Times of the stages.
+        sensor: What kind of camera took the images.
+        left_out: What of the method does not work with it and was left out.
         evaluation: Its figures; None without ground truth, or with a trajectory that cannot be compared to it.
         has_groundtruth: Whether the sequence came with a ground truth, be it one that cannot be used.
         n_given: Images that the run was given, those that cannot be read among them.
@@ -61,6 +64,8 @@ class RunOutcome:
     folder: Path | None
     system: System
     clock: StageClock
+    sensor: Sensor = Sensor.RGBD
+    left_out: tuple[str, ...] = ()
     evaluation: Evaluation | None = None
     has_groundtruth: bool = False
     n_given: int = 0
@@ -98,7 +103,7 @@ class RunOutcome:
         """The likely reason, in one line, for which no image has a pose; None where one has, or none was given."""
         if self.n_given == 0 or any(result.T_world_cam is not None for result in self.system.results):
             return None
-        return likely_reason(self.seen, self.system.results, self.localized_in)
+        return likely_reason(self.seen, self.system.results, self.localized_in, self.sensor)
 
     @property
     def n_apart(self) -> int:
@@ -119,6 +124,7 @@ class Source:
         blackout: Images that arrive black, without depth.
         reverse: Whether what is left is played backwards.
         pairing: How times are read and images are paired.
+        sensor: As what kind of camera's the images are used: rgbd, stereo or monocular; by default what they are.
     """
 
     sequence: str
@@ -129,6 +135,7 @@ class Source:
     blackout: tuple[str, ...] = ()
     reverse: bool = False
     pairing: Pairing = field(default_factory=Pairing)
+    sensor: str | None = None
 
     def open(self) -> Dataset:
         """Open it.
@@ -141,7 +148,7 @@ class Source:
             raise ConfigError(
                 f"{self.sequence}: is a camera, and this needs a sequence; make one of it with 'stillroom record'"
             )
-        whole = open_dataset(self.sequence, self.camera, self.fps, self.pairing)
+        whole = open_dataset(self.sequence, self.camera, self.fps, self.pairing, self.sensor)
         return select(whole, self.frames, self.drop, self.blackout, self.reverse)
 
     def intake(self) -> Intake:

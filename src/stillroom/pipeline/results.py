@@ -338,6 +338,9 @@ def run_figures(outcome: RunOutcome) -> dict[str, Any]:
     peak_mb = peak_memory_mb()
     tracked = [r for r in frames if r.T_world_cam is not None]
     return {
+        "sensor": outcome.sensor.value,
+        "left_out": list(outcome.left_out),
+        "n_left_out": len(outcome.left_out),
         "n_unreadable": outcome.n_bad,
         "doubts": [str(doubt) for doubt in outcome.doubts],
         "n_unpaired": outcome.n_unpaired,

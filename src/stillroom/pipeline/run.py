@@ -12,9 +12,8 @@ from stillroom.data.image import Image
 from stillroom.data.replacing import replace_text
 from stillroom.data.result import FrameSummary, TrackingState
 from stillroom.data.trajectory import Trajectory
-from stillroom.datasets.recording import groundtruth_flaw
+from stillroom.datasets.recording import groundtruth_flaw, sensor_of
 from stillroom.errors import CameraError, ConfigError, FrameError
-from stillroom.geometry.camera import Camera
 from stillroom.pipeline import results
 from stillroom.pipeline.evaluating import evaluate_trajectory
 from stillroom.pipeline.intake import Intake, intake_of
@@ -28,7 +27,7 @@ from stillroom.pipeline.stop_request import StopRequest
 from stillroom.pipeline.untracked import Seen
 from stillroom.pipeline.viewing import Viewers, viewed
 from stillroom.pipeline.warned import kept_warnings
-from stillroom.protocols import Dataset, RunObserver, Segmenter
+from stillroom.protocols import Dataset, Origin, RunObserver, Segmenter
 from stillroom.schedule import LiveSchedule
 from stillroom.semantics.detector import withhold
 from stillroom.semantics.mask_files import MaskFilesConfig
@@ -148,13 +147,15 @@ def _run(
         origin.camera,
         map=None if options.map is None else options.map.path,
         map_use=MapUse.NEW if options.map is None else options.map.use,
-        segmenter=withhold(_segmenter(config, origin.camera, options), options.detector_off),
+        segmenter=withhold(_segmenter(config, origin, options), options.detector_off),
         schedule=options.schedule,
+        sensor=sensor_of(origin),
         sequence=origin.name,
     )
     with StopRequest() as stop, slam:
         folder = _folder(origin.name, slam.config, options)
         outcome = RunOutcome(config.method, folder, slam.system, slam.clock, doubts=slam.doubts, warnings=warnings)
+        outcome.sensor, outcome.left_out = slam.sensor, slam.left_out
         outcome.map_file, outcome.masks = slam.map_file, options.masks
         outcome.localized_in = None if options.map is None else options.map.read_only
         if folder is not None:
@@ -179,8 +180,8 @@ def _run(
     return outcome
 
 
-def _segmenter(config: SlamConfig, camera: Camera, options: RunOptions) -> Segmenter:
-    return options.segmenter or segmenter_of(config, camera, options.schedule)
+def _segmenter(config: SlamConfig, origin: Origin, options: RunOptions) -> Segmenter:
+    return options.segmenter or segmenter_of(config, origin.camera, options.schedule, sensor_of(origin))
 
 
 def _playback(intake: Intake, slam: Slam, outcome: RunOutcome, options: RunOptions) -> Playback:

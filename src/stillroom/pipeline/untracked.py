@@ -7,6 +7,7 @@ import numpy as np
 
 from stillroom.data.image import Image
 from stillroom.data.result import FrameSummary
+from stillroom.data.sensor import Sensor
 
 BLACK_BELOW = 8
 FEW_KEYPOINTS = 100
@@ -30,20 +31,33 @@ class Seen:
     def add(self, image: Image) -> tuple[bool, bool]:
         """Look at an image; return whether it is black, and whether it has no depth though it is not."""
         is_black = int(image.rgb.max()) < BLACK_BELOW
-        is_blind = not is_black and not image.depth_m.any()
+        is_blind = not is_black and image.sensor is Sensor.RGBD and not image.depth_m.any()
         self.n_images += 1
         self.n_black += is_black
         self.n_without_depth += is_blind
         return is_black, is_blind
 
 
-def likely_reason(seen: Seen, results: list[FrameSummary], localized_in: Path | None) -> str:
+BEGINNINGS = {
+    Sensor.RGBD: "too few keypoints have a depth to begin a map; do the depth images show what the colour images show?",
+    Sensor.STEREO: (
+        "too few keypoints are found in both images to begin a map; are they rectified, and of one moment?"
+    ),
+    Sensor.MONOCULAR: "no map could be begun; does the camera move sideways, past things at different depths?",
+}
+"""Why there may be no map, by the sensor."""
+
+
+def likely_reason(
+    seen: Seen, results: list[FrameSummary], localized_in: Path | None, sensor: Sensor = Sensor.RGBD
+) -> str:
     """Return the likely reason for which no image of a run has a pose, and what to look at.
 
     Args:
         seen: What the images were like.
         results: How tracking went.
         localized_in: The map that was only tracked against; None for a run that made its own.
+        sensor: What kind of camera took the images.
     """
     if seen.n_images == 0:
         return "no image could be read"
@@ -67,4 +81,4 @@ def likely_reason(seen: Seen, results: list[FrameSummary], localized_in: Path | 
             f"no place of {localized_in} was recognised in {seen.n_images} images; "
             "is it a map of this room, and does the camera look where the map's did?"
         )
-    return "too few keypoints have a depth to begin a map; do the depth images show what the colour images show?"
+    return BEGINNINGS[sensor]

@@ -13,6 +13,8 @@ from pathlib import Path
 
 from stillroom.bounds import check
 from stillroom.config import SlamConfig, read_toml, updated, with_overrides
+from stillroom.config.sensors import fit_to_sensor
+from stillroom.data.sensor import Sensor
 from stillroom.errors import ConfigError
 from stillroom.plugins import PluginGroup
 from stillroom.presets import (
@@ -32,7 +34,7 @@ from stillroom.presets import (
 )
 from stillroom.presets.method import Method
 
-__all__ = ["DEFAULT", "OWN", "Method", "all_methods", "configure", "method"]
+__all__ = ["DEFAULT", "OWN", "Method", "all_methods", "configure", "method", "works_with"]
 
 PLUGINS: PluginGroup[Method] = PluginGroup(
     "stillroom.methods", "method", "a Method", lambda offered: isinstance(offered, Method)
@@ -108,3 +110,22 @@ def configure(
         raise ConfigError(f"seed is {config.seed}; it must be 0 or more")
     check(config)
     return config
+
+
+def works_with(preset: Method, sensor: Sensor, dense: bool = False) -> str:
+    """Return in words what of a preset works with a sensor, as the table of docs/sensors.md has it.
+
+    Args:
+        preset: The method.
+        sensor: What kind of camera takes the images.
+        dense: Whether a depth image is made of pairs (`stereo.dense`).
+
+    Returns:
+        "whole", "refused: …", or "without …": what is left out, with semicolons between.
+    """
+    stereo = replace(preset.config.stereo, dense="sgbm" if dense else "none")
+    try:
+        _, left_out = fit_to_sensor(replace(preset.config, stereo=stereo), sensor)
+    except ConfigError:
+        return "refused: nothing of it is left"
+    return f"without {'; '.join(left_out)}" if left_out else "whole"

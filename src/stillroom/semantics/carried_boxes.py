@@ -70,7 +70,7 @@ class Follower:
         """Start tracking a box in an image in which it was detected."""
         depth_m = _central_depth(image, edges)
         step_px = _in_pixels(DEPTH_STEP_PX, image)
-        inside = image.depth_m[_pixels(edges, image)][::step_px, ::step_px]
+        inside = image.known_depth_m[_pixels(edges, image)][::step_px, ::step_px]
         support = float(np.mean(self._near(inside, depth_m))) if inside.size and depth_m else 0.0
         return FollowedBox(edges, depth_m, support)
 
@@ -88,7 +88,7 @@ class Follower:
         if box.depth_m == 0.0:
             return None if flow_px is None else FollowedBox(edges, 0.0, 0.0)
         step_px = _in_pixels(DEPTH_STEP_PX, now)
-        inside = now.depth_m[_pixels(edges, now)][::step_px, ::step_px]
+        inside = now.known_depth_m[_pixels(edges, now)][::step_px, ::step_px]
         near = self._near(inside, box.depth_m)
         # Something nearer occludes it, and is dynamic too: only a view of the background shows that it left.
         hidden = (inside > 0.0) & (inside < box.depth_m)
@@ -118,7 +118,7 @@ class Follower:
         """Return where in the shrunk surroundings of a box the object in it is, as cv2 takes it."""
         inside = _pixels(box.edges, image)
         mask = np.zeros((image.height, image.width), dtype=np.uint8)
-        mask[inside] = self._near(image.depth_m[inside], box.depth_m) if box.depth_m else 1
+        mask[inside] = self._near(image.known_depth_m[inside], box.depth_m) if box.depth_m else 1
         rows, columns = (s.stop - s.start for s in around)
         return mask[around][: rows // times * times : times, : columns // times * times : times]
 
@@ -126,7 +126,7 @@ class Follower:
         """Return which points (N, 2) lie in the image and, where depth is known, near the depth of the box."""
         nearest = np.rint(points_px)
         within = np.all((nearest >= 0) & (nearest < (now.width, now.height)), axis=1)
-        at = values_at(now.depth_m, points_px)
+        at = values_at(now.known_depth_m, points_px)
         return np.asarray(within & ((at <= 0.0) | (depth_m == 0.0) | self._near(at, depth_m)))
 
     def _near(self, depth: F32, depth_m: float) -> Bool:
@@ -136,7 +136,7 @@ class Follower:
 def _central_depth(image: Image, edges: F64) -> float:
     """Return the depth of the object in the middle of a box [m]; 0 where unknown."""
     center, half = 0.5 * (edges[:2] + edges[2:]), 0.5 * CENTRAL_SHARE * (edges[2:] - edges[:2])
-    middle = image.depth_m[_pixels(np.concatenate([center - half, center + half]), image)]
+    middle = image.known_depth_m[_pixels(np.concatenate([center - half, center + half]), image)]
     known = middle[middle > 0.0]
     return float(np.quantile(known, CENTRAL_QUANTILE)) if known.size else 0.0
 

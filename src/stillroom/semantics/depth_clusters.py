@@ -5,6 +5,7 @@ box is clustered separately, so that furniture beyond the box is not included.
 """
 
 from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -58,6 +59,8 @@ class DepthClustersConfig:
         planes: What counts as a plane.
         segments: How the rest becomes clusters.
     """
+
+    needs_depth_image: ClassVar[bool] = True
 
     stride: int = bounded(4, least=1, pixels=1)
     min_depth_m: float = bounded(0.2, least=0)

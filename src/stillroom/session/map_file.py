@@ -114,6 +114,8 @@ def opened_map(
         yield OpenedMap()
         return
     earlier = None if file.use is MapUse.NEW else _loaded(file.path, config)
+    if earlier is not None:
+        _require_sensor(file, earlier.world.sensor, sensor, sequence)
     if file.use is MapUse.LOCALIZE:
         assert earlier is not None
         yield OpenedMap(earlier.world, earlier=earlier)
@@ -148,6 +150,18 @@ def _loaded(path: Path, config: SlamConfig) -> StoredMap:
     if len(stored.world.keyframes) == 0:
         raise MapError(f"{path}: holds no keyframe; there is nothing to recognise; make it again")
     return stored
+
+
+def _require_sensor(file: MapFile, made_with: Sensor, sensor: Sensor, sequence: str) -> None:
+    """Refuse a map that a sensor cannot use so: lengths differ, or one map would hold keyframes of two sensors."""
+    if sensor is made_with or (made_with.is_metric and sensor.is_metric and file.use is MapUse.LOCALIZE):
+        return
+    which = f"{file.path}: is a map of {made_with.words} images, and {sequence} has {sensor.words} ones"
+    if made_with.is_metric and sensor.is_metric:
+        raise MapError(f"{which}; one map holds one sensor's keyframes; --localize works with both")
+    raise MapError(
+        f"{which}: lengths of a single camera are known up to a factor, those of the other in metres; make a new map"
+    )
 
 
 def _require_camera(path: Path, made_with: Camera, camera: Camera, sequence: str) -> None:

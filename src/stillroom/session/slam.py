@@ -12,12 +12,13 @@ import numpy as np
 
 from stillroom.compiled import said_when_compiling
 from stillroom.config import SlamConfig, with_overrides
+from stillroom.config.sensors import fit_to_sensor
 from stillroom.data.dense_cloud import DenseCloud
-from stillroom.data.image import Image
+from stillroom.data.image import Image, StereoImage
 from stillroom.data.map import Map
 from stillroom.data.result import FrameResult, Tracked, TrackingState
 from stillroom.data.semantics import Semantics
-from stillroom.data.sensor import Sensor
+from stillroom.data.sensor import Sensor, sensor_called
 from stillroom.data.trajectory import Trajectory
 from stillroom.errors import ConfigError, FrameError, MapError, StillroomError
 from stillroom.evaluation.timing import FRAME, StageClock
@@ -36,7 +37,7 @@ log = logging.getLogger(__name__)
 
 
 class Slam:
-    """An RGB-D SLAM system: images in, poses, moving pixels and maps out.
+    """A SLAM system: images in, poses, moving pixels and maps out.
 
     ::
 
@@ -53,6 +54,7 @@ class Slam:
         config: The whole configuration.
         camera: The calibration of the images.
         sensor: What kind of camera takes them.
+        left_out: What of the method does not work with that sensor and is left out, in words; each was logged once.
         clock: Times of the stages.
         system: The stages, and the map that they share.
         doubts: What is probably wrong with calibration or depth; each was logged once.
@@ -92,7 +94,7 @@ class Slam:
             sequence: Name of the images in a map file and in messages.
 
         Raises:
-            ConfigError: A method, a key or a value is wrong.
+            ConfigError: A method, a key or a value is wrong, or nothing of the method works with the sensor.
             WeightsError: A network's weights are absent.
             MapError: The map file cannot be used so, or does not fit.
             CalibrationError: No camera can have this calibration.
@@ -103,9 +105,9 @@ class Slam:
             raise ConfigError(f"map_use is '{map_use}', which needs a map: name its file")
         schedule = _schedule(schedule)
         self._is_live = isinstance(schedule, LiveSchedule)
-        config = _configured(method, settings, seed)
+        config, self.left_out = _fitted(_configured(method, settings, seed), sensor_called(sensor))
         self.config = config if file is None else file.fitting(config)
-        self.camera, self.sensor, self.clock = camera, _sensor(sensor), StageClock()
+        self.camera, self.sensor, self.clock = camera, sensor_called(sensor), StageClock()
         self.doubts: list[Doubt] = []
         self._depths, self._times = DepthRange(camera.depth_factor), ImageTimes()
         self._sequence, self._observers, self._newest = sequence, list(observers), _Newest()
@@ -164,7 +166,7 @@ class Slam:
             image = image.at(self._n_given, image.timestamp_s)
         self._n_given, self._last_s = self._n_given + 1, image.timestamp_s
         self.doubt(self._times.add(image.timestamp_s))
-        if image.has_depth_image:
+        if self.sensor is Sensor.RGBD:
             self.doubt(self._depths.add(image.depth_m))
         is_first = len(self.system.results) == 0
         with self.clock.stage(FRAME), said_when_compiling() if is_first else nullcontext():
@@ -296,17 +298,22 @@ class Slam:
             FrameError: Saying what is wrong with it.
         """
         size, where = (self.camera.height, self.camera.width), f"image {self._n_given}"
+        if image.sensor is not self.sensor:
+            raise FrameError(f"{where}: is {image.sensor.words}; this Slam takes {self.sensor.words} images")
         if image.rgb.dtype != np.uint8 or image.rgb.shape != (*size, 3):
             raise FrameError(
                 f"{where}: rgb is {image.rgb.dtype} {image.rgb.shape}; the camera's images are uint8 {(*size, 3)}"
             )
-        if image.sensor is not self.sensor:
-            raise FrameError(f"{where}: it is {image.sensor.words}; this Slam takes {self.sensor.words} images")
+        if isinstance(image, StereoImage) and (image.right.dtype != np.uint8 or image.right.shape != size):
+            raise FrameError(
+                f"{where}: right is {image.right.dtype} {image.right.shape}; it must be the brightness, uint8 {size}"
+            )
         if image.has_depth_image and (image.depth_m.dtype != np.float32 or image.depth_m.shape != size):
-            hint = f": divide a sensor's units by {self.camera.depth_factor:g}, as float32"
+            is_whole = image.depth_m.dtype.kind in "iu"
+            hint = f": divide a sensor's units by {self.camera.depth_factor:g}, as float32" if is_whole else ""
             raise FrameError(
                 f"{where}: depth_m is {image.depth_m.dtype} {image.depth_m.shape}; it must be float32 {size} in metres"
-                + (hint if image.depth_m.dtype.kind in "iu" else "")
+                + hint
             )
         if not np.isfinite(image.timestamp_s):
             raise FrameError(f"{where}: its time is {image.timestamp_s}; give it in seconds")
@@ -346,15 +353,16 @@ def _configured(method: str | SlamConfig, settings: Iterable[str], seed: int | N
     return config if seed is None else replace(config, seed=seed)
 
 
+def _fitted(config: SlamConfig, sensor: Sensor) -> tuple[SlamConfig, tuple[str, ...]]:
+    """Return what of a config works with a sensor, and what was left out of it, which is logged."""
+    fitted, left_out = fit_to_sensor(config, sensor)
+    for part in left_out:
+        log.warning("%s with %s images: left out: %s", config.method, sensor.words, part)
+    return fitted, left_out
+
+
 def _schedule(asked: str | Schedule) -> Schedule:
     return schedule_of(asked) if isinstance(asked, str) else asked
-
-
-def _sensor(asked: str | Sensor) -> Sensor:
-    try:
-        return Sensor(asked)
-    except ValueError:
-        raise ConfigError(f"sensor is '{asked}'; it must be one of {', '.join(Sensor)}") from None
 
 
 def _map_use(asked: MapUse | str) -> MapUse:

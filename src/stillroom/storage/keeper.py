@@ -49,7 +49,7 @@ class MapKeeper:
         Raises:
             MapError: The disk is full, or the like.
         """
-        wanted = self.config.images
+        wanted = self.config.images and image.has_depth_image
         pictures = compress(keyframe, image, moving, self._camera.depth_factor) if wanted else None
         frames = self._taken_frames()
         try:

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from stillroom.data.replacing import cannot_be_written
+from stillroom.data.sensor import Sensor
 from stillroom.errors import MapError
-from stillroom.storage.schema import APPLICATION_ID, TABLES, VERSION
+from stillroom.storage.schema import APPLICATION_ID, RGBD_VERSION, SENSOR_TABLE, TABLES, VERSION
 
 SUFFIX = ".stillmap"
 PAGE_BYTES = 8192
@@ -157,13 +158,16 @@ def require_unused(path: Path) -> None:
             raise MapError(f"{beside}: belongs to a map that is gone; remove it, or choose another name")
 
 
-def create(path: Path) -> sqlite3.Connection:
-    """Make a new, empty map and open it to write. It is created atomically.
+def create(path: Path, sensor: Sensor = Sensor.RGBD) -> sqlite3.Connection:
+    """Make a new, empty map of a sensor and open it to write. It is created atomically.
 
     Raises:
         MapError: There is a file of this name already, or it cannot be made.
     """
     require_unused(path)
+    is_rgbd = sensor is Sensor.RGBD
+    version = RGBD_VERSION if is_rgbd else VERSION
+    told = "" if is_rgbd else f"{SENSOR_TABLE} INSERT INTO sensor VALUES (1, '{sensor.value}');"
     unfinished = path.with_name(f"{path.name}.{os.getpid()}.new")
     with naming(path):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -171,7 +175,7 @@ def create(path: Path) -> sqlite3.Connection:
             connection = sqlite3.connect(unfinished, isolation_level=None)
             connection.executescript(
                 f"PRAGMA page_size = {PAGE_BYTES}; PRAGMA application_id = {APPLICATION_ID};"
-                f"PRAGMA user_version = {VERSION}; BEGIN; {TABLES} COMMIT;"
+                f"PRAGMA user_version = {version}; BEGIN; {TABLES} {told} COMMIT;"
             )
             connection.close()
             unfinished.replace(path)

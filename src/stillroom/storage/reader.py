@@ -10,6 +10,7 @@ import numpy as np
 from stillroom.data.frame import ScaleLevels
 from stillroom.data.image import Image
 from stillroom.data.map import Map
+from stillroom.data.sensor import Sensor
 from stillroom.errors import CalibrationError, MapError
 from stillroom.geometry.camera import Camera
 from stillroom.storage.integrity import problems_of
@@ -21,6 +22,7 @@ from stillroom.storage.schema import (
     POINT_IDS,
     POINTS,
     POSES,
+    RGBD_VERSION,
     FrameNote,
     Packed,
     Session,
@@ -84,7 +86,7 @@ def _read(database: sqlite3.Connection) -> StoredMap:
     camera = _camera(head)
     if not (1 <= head["n_levels"] <= MOST_LEVELS and 1.0 < head["scale_factor"] < np.inf):
         raise MapError(f"{head['n_levels']} pyramid levels of {head['scale_factor']} cannot be; the map is damaged")
-    world = Map(ScaleLevels(head["scale_factor"], head["n_levels"], camera.pixel_scale))
+    world = Map(ScaleLevels(head["scale_factor"], head["n_levels"], camera.pixel_scale), _sensor(database))
     _read_keyframes(database, world)
     _read_points(database, world, head["n_points"])
     edges = database.execute("SELECT older, newer, weight FROM covisibility ORDER BY older, newer").fetchall()
@@ -130,6 +132,17 @@ def _head(database: sqlite3.Connection) -> dict[str, Any]:
     if row is None:
         raise MapError("its head is missing; the map is damaged")
     return dict(zip((column[0] for column in cursor.description), row, strict=True))
+
+
+def _sensor(database: sqlite3.Connection) -> Sensor:
+    """Return the sensor of a map; those of the first version are of RGB-D images."""
+    if database.execute("PRAGMA user_version").fetchone()[0] == RGBD_VERSION:
+        return Sensor.RGBD
+    row = database.execute("SELECT sensor FROM sensor").fetchone()
+    try:
+        return Sensor("" if row is None else row[0])
+    except ValueError:
+        raise MapError(f"its sensor is '{row and row[0]}'; the map is damaged") from None
 
 
 def _camera(head: dict[str, Any]) -> Camera:

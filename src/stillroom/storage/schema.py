@@ -17,8 +17,16 @@ from stillroom.geometry.camera import Camera
 
 APPLICATION_ID = 0x5374696C
 """The application id in the file's header: "Stil" in ASCII."""
-VERSION = 1
-"""The version of the format, in the header's `user_version`."""
+VERSION = 2
+"""The newest version of the format, in the header's `user_version`."""
+RGBD_VERSION = 1
+"""The version of maps of RGB-D images, which have no table of the sensor; programs that know no other can read them."""
+SENSOR_TABLE = """
+CREATE TABLE sensor (
+    id INTEGER PRIMARY KEY CHECK (id = 1),
+    sensor TEXT NOT NULL
+);
+"""
 POINTS_A_BLOCK = 256
 """Points are stored in blocks of this many ids: a block is written again when one of its points has changed."""
 TABLES = """

@@ -50,7 +50,7 @@ class MapWriter:
         depth = camera.depth_factor, camera.bf
         scales = world.scales.factor, world.scales.count
         head = (1, *sizes, *camera.distortion, *depth, *scales, 0)
-        writer = cls(opening.create(path), path, world, Changes(world))
+        writer = cls(opening.create(path, world.sensor), path, world, Changes(world))
         with writer._transaction() as database:
             insert(database, "map", [head])
         return writer

@@ -12,14 +12,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stillroom.data.image import Image
+from stillroom.data.image import Image, StereoImage
+from stillroom.data.sensor import Sensor
 from stillroom.data.trajectory import Trajectory
+from stillroom.datasets.recording import sensor_of
 from stillroom.errors import FrameError
 from stillroom.geometry.arrays import F32, U8
 from stillroom.geometry.camera import Camera
 from stillroom.protocols import Dataset
+from stillroom.testing.stereo_rows import disparities_px
 
 SAMPLED_FRAMES = 9
+FEWEST_CORNERS, MOST_ROWS_PX = 30, 1.0
+"""With fewer corners found in both images of a pair nothing is said of its rows; by how much these may differ [px]."""
 PLAUSIBLE_DEPTH_M = (0.05, 60.0)
 """The median depth of a room; millimetres taken for metres, or raw units, lie far outside."""
 
@@ -60,6 +65,8 @@ def check_dataset(dataset: Dataset, *known_pixels: KnownPixel) -> None:
     for place, image in first_pass.items():
         if image is not None:
             _check_image(dataset, place, image)
+    if sensor_of(dataset) is Sensor.STEREO:
+        _check_rows(dataset, first_pass)
     _check_repeats(dataset, first_pass)
     _check_iteration(dataset)
     for pixel in known_pixels:
@@ -137,11 +144,25 @@ def _check_image(dataset: Dataset, place: int, image: Image) -> None:
     assert image.timestamp_s == dataset.timestamps_s[place], f"image {place} has another time than timestamps_s"
     number = int(dataset.numbers[place])
     assert image.index == number, f"image {place} is numbered {image.index}, but numbers says {number}"
+    sensor = sensor_of(dataset)
+    assert image.sensor is sensor, f"image {place} is {image.sensor.words}, but the data set says {sensor.words}"
     check_pixels(dataset.camera, place, image)
 
 
+def _check_rows(dataset: Dataset, images: dict[int, Image | None]) -> None:
+    """Check that pairs are rectified: corners lie in one row of both images, and not further right in the right."""
+    assert not dataset.camera.is_distorted, "the camera of rectified pairs has a distortion"
+    for place, image in images.items():
+        off_px = disparities_px(image) if isinstance(image, StereoImage) else np.zeros((0, 2))
+        if len(off_px) < FEWEST_CORNERS:
+            continue
+        across_px, down_px = np.median(off_px[:, 0]), np.median(np.abs(off_px[:, 1]))
+        assert down_px <= MOST_ROWS_PX, f"pair {place}: rows differ by {down_px:.1f} px; is it rectified?"
+        assert across_px > -MOST_ROWS_PX, f"pair {place}: the right image shows things further right; left for right?"
+
+
 def check_pixels(camera: Camera, place: int, image: Image) -> None:
-    """Check types, sizes and plausibility of colours and depth of an image of a data set or a camera.
+    """Check types, sizes and plausibility of what was measured, for an image of a data set or a camera.
 
     Raises:
         AssertionError: Something is wrong with them.
@@ -149,10 +170,20 @@ def check_pixels(camera: Camera, place: int, image: Image) -> None:
     size = (camera.height, camera.width)
     assert image.rgb.dtype == np.uint8, f"image {place}: rgb is {image.rgb.dtype}, not uint8"
     assert image.rgb.shape == (*size, 3), f"image {place}: rgb is {image.rgb.shape}, the camera {size}"
+    for name, pixels in image.channels.items():
+        assert pixels.flags.c_contiguous, f"image {place}: {name} is not contiguous; kernels need it to be"
+    if isinstance(image, StereoImage):
+        assert image.right.dtype == np.uint8, f"image {place}: right is {image.right.dtype}, not uint8"
+        assert image.right.shape == size, f"image {place}: right is {image.right.shape}, the camera {size}"
+    if image.has_depth_image:
+        _check_depth(size, place, image)
+    if image.truth is not None:
+        assert (image.truth.height, image.truth.width) == size, f"image {place}: truth is of another size"
+
+
+def _check_depth(size: tuple[int, int], place: int, image: Image) -> None:
     assert image.depth_m.dtype == np.float32, f"image {place}: depth_m is {image.depth_m.dtype}, not float32"
     assert image.depth_m.shape == size, f"image {place}: depth_m is {image.depth_m.shape}, the camera {size}"
-    for name, pixels in (("rgb", image.rgb), ("depth_m", image.depth_m)):
-        assert pixels.flags.c_contiguous, f"image {place}: {name} is not contiguous; kernels need it to be"
     assert np.all(np.isfinite(image.depth_m)), f"image {place}: depth_m has NaN or infinity; unknown is 0"
     assert np.all(image.depth_m >= 0), f"image {place}: depth_m is negative somewhere; unknown is 0"
     known_m = image.depth_m[image.depth_m > 0]
@@ -160,8 +191,6 @@ def check_pixels(camera: Camera, place: int, image: Image) -> None:
         low, high = PLAUSIBLE_DEPTH_M
         median_m = float(np.median(known_m))
         assert low < median_m < high, f"image {place}: the median depth is {median_m} m; is the depth factor right?"
-    if image.truth is not None:
-        assert (image.truth.height, image.truth.width) == size, f"image {place}: truth is of another size"
 
 
 @dataclass(frozen=True)
@@ -200,5 +229,6 @@ def _check_pixel(dataset: Dataset, known: KnownPixel) -> None:
     off = np.abs(rgb - np.array(known.rgb)).max()
     assert off <= known.colour_tolerance, f"{where}: rgb is {tuple(rgb.tolist())}, not {known.rgb}; is it BGR?"
     if known.depth_m is not None:
+        assert image.has_depth_image, f"{where}: there is no depth image, but a depth is known"
         depth_m = float(image.depth_m[known.row, known.column])
         assert np.isclose(depth_m, known.depth_m, rtol=1e-5), f"{where}: depth is {depth_m} m, not {known.depth_m}"

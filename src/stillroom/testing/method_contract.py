@@ -15,9 +15,11 @@ from dataclasses import replace
 import numpy as np
 
 from stillroom.config import SlamConfig, to_toml, updated
+from stillroom.config.sensors import fit_to_sensor
 from stillroom.data.image import Image
 from stillroom.data.result import FrameResult, FrameSummary, TrackingState
 from stillroom.data.trajectory import Trajectory
+from stillroom.datasets.recording import sensor_of
 from stillroom.geometry.arrays import F64
 from stillroom.presets.method import Method
 from stillroom.protocols import Dataset, Segmenter
@@ -31,7 +33,8 @@ def check_method(method: Method, dataset: Dataset, segmenter: Callable[[], Segme
 
     Args:
         method: The method.
-        dataset: A short sequence, some 30 frames, in which the camera can be tracked.
+        dataset: A short sequence, some 30 frames, in which the camera can be tracked; of any sensor that the method
+            works with.
         segmenter: Builds a replacement of the method's own segmenter, such as one without weights; a new one each time.
 
     Returns:
@@ -41,11 +44,12 @@ def check_method(method: Method, dataset: Dataset, segmenter: Callable[[], Segme
         AssertionError: A rule is broken; the message says which.
     """
     _check_description(method)
-    config = method.config
+    sensor = sensor_of(dataset)
+    config, _ = fit_to_sensor(method.config, sensor)
     images = [dataset.load(place) for place in range(len(dataset))]
 
     def fresh(config: SlamConfig) -> System:
-        return build(config, dataset.camera, segmenter() if segmenter else None)
+        return build(config, dataset.camera, segmenter() if segmenter else None, sensor=sensor)
 
     system = _run(fresh(config), images)
     _check_results(system, images)

@@ -17,7 +17,7 @@ from stillroom.bench.ghost_trials import ghosts as judged
 from stillroom.bench.parts import BOTH, HALF, Part, every_second_second
 from stillroom.bench.rejection import Way, ways
 from stillroom.bench.speed import Speed, UnitMeter
-from stillroom.cli.arguments import Settings, Tables
+from stillroom.cli.arguments import SensorName, Settings, Tables
 from stillroom.cli.bench.session import Bench, Camera, Frames, Methods, Out, Runs, Sequence1, Sequences
 from stillroom.cli.output import print_lines, say
 from stillroom.config import SlamConfig
@@ -84,6 +84,7 @@ def accuracy(
         bool, typer.Option("--dense", help="Make dense maps too; they cost time and change no pose.")
     ] = False,
     camera: Camera = None,
+    sensor: SensorName = None,
     settings: Settings = None,
     tables: Tables = None,
     out: Out = None,
@@ -92,7 +93,7 @@ def accuracy(
     configs = _configs(methods, settings)
     bench = Bench("accuracy", out, tables)
     for sequence in sequences:
-        dataset = bench.open(Source(sequence, camera, frames=frames))
+        dataset = bench.open(Source(sequence, camera, frames=frames, sensor=sensor))
         table = bench.each(configs, bench.seeds_of(dataset, runs, dense=dense))
         notes = exactness.sentences(table, dense) if table else []
         bench.print_table(dataset.name, exactness.HEADER, [row.row(table[0]) for row in table])
@@ -108,13 +109,14 @@ def rejection(
     runs: Runs = 1,
     frames: Frames = None,
     camera: Camera = None,
+    sensor: SensorName = None,
     settings: Settings = None,
     tables: Tables = None,
     out: Out = None,
 ) -> None:
     """Compare no rejection, whole boxes, OC-SLAM as printed and the preset: ATE, coverage, features kept."""
     bench = Bench("rejection", out, tables)
-    dataset = bench.open(Source(sequence, camera, frames=frames))
+    dataset = bench.open(Source(sequence, camera, frames=frames, sensor=sensor))
     configs = ways(configure(method, None, settings or ()))
     table = [Way(row) for row in bench.each(configs, bench.seeds_of(dataset, runs))]
     boxes = next((way for way in table if way.accuracy.method == rejecting.WHOLE_BOXES), None)
@@ -189,6 +191,7 @@ def speed(
         int, typer.Option(min=0, metavar="N", help="Run each live too, N times at each pace; 0: in order only.")
     ] = 0,
     camera: Camera = None,
+    sensor: SensorName = None,
     settings: Settings = None,
     tables: Tables = None,
     out: Out = None,
@@ -202,7 +205,7 @@ def speed(
     """
     configs = _configs(methods, settings)
     bench = Bench("speed", out, tables)
-    dataset = UnitMeter(bench.open(Source(sequence, camera, frames=frames)))
+    dataset = UnitMeter(bench.open(Source(sequence, camera, frames=frames, sensor=sensor)))
     warm_up()  # also when they are compiled: loading must not count for the first frame
 
     def measure(name: str, config: SlamConfig) -> Speed:
@@ -214,7 +217,7 @@ def speed(
         bench.print_table(title, cost.HEADER, measured.rows(), measured.sentences())
         bench.keep([measured.to_dict()])
     if live > 0:
-        _speed_live(bench, Source(sequence, camera, frames=frames), configs, live)
+        _speed_live(bench, Source(sequence, camera, frames=frames, sensor=sensor), configs, live)
     bench.finish()
 
 

@@ -176,7 +176,7 @@ class CompensatedHomographySieve:
             return Motion(is_static, moving)
         is_static[findings.candidates[findings.found.is_dynamic]] = False
         if findings.found.hulls:
-            geometry = self._filled(findings, frame.image.depth_m)
+            geometry = self._filled(findings, frame.image.known_depth_m)
             # What could not be tested gets the label of its community.
             lone = values_at(geometry, findings.test.raw_px) & (findings.verdicts == UNKNOWN)
             is_static[findings.candidates[lone]] = False

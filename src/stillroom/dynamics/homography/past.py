@@ -33,7 +33,7 @@ class EarlierImage:
 def view_of(image: Image) -> ImageView:
     """Return an image as the point test reads it."""
     times = in_pixels(SHRINK, pixel_scale(image.width, image.height))
-    return ImageView(image.shrunk(times), image.shrunk(2 * times), image.depth_m)
+    return ImageView(image.shrunk(times), image.shrunk(2 * times), image.known_depth_m)
 
 
 class Past:

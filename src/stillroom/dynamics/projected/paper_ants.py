@@ -1,7 +1,7 @@
 """PSPNet-SLAM's geometry as printed (III.B, III.C): projected features, DynaSLAM's test, and the ants' search."""
 
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import cv2
 import numpy as np
@@ -61,6 +61,8 @@ class PaperAntsConfig:
         test: DynaSLAM's test.
         ants: The path and the search along it.
     """
+
+    needs_depth_image: ClassVar[bool] = True
 
     search: str = bounded(REVERSE_ANTS, one_of=SEARCHES)
     compensation: CompensationFrameConfig = field(default_factory=CompensationFrameConfig)

@@ -33,7 +33,7 @@ class HalfImage:
         """Return an image at half its size; a last odd row or column is left out."""
         rows, columns = max(image.height // 2, 1), max(image.width // 2, 1)
         gray = cv2.resize(image.gray[: 2 * rows, : 2 * columns], (columns, rows), interpolation=cv2.INTER_AREA)
-        depth_m = np.ascontiguousarray(image.depth_m[::2, ::2][:rows, :columns])
+        depth_m = np.ascontiguousarray(image.known_depth_m[::2, ::2][:rows, :columns])
         return HalfImage(image.index, np.asarray(gray, dtype=np.uint8), depth_m)
 
     @property

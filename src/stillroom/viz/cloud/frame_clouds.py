@@ -34,7 +34,7 @@ def cloud_of_image(image: Image, camera: Camera, rgb: U8, kept: Bool) -> DenseCl
         kept: Pixels to take (H, W); those without depth are left out.
     """
     grid = ray_grid(camera, image.height, image.width, STRIDE)
-    points_m = back_project(image.depth_m, grid, NEAR_M, FAR_M)
+    points_m = back_project(image.known_depth_m, grid, NEAR_M, FAR_M)
     shown = (points_m[..., 2] > 0) & kept[grid.pixels]
     return points_as_cloud(points_m[shown], rgb[grid.pixels][shown], DISC_M)
 

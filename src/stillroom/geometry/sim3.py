@@ -87,7 +87,7 @@ def inverse_right_jacobian(tangents: Floats) -> F64:
     unit = np.eye(7)
     jacobians: F64 = np.broadcast_to(unit, opposite.shape)
     for k in range(_TERMS, 1, -1):  # Σ (−ad)ⁿ / (n + 1)!, from the last term on
-        jacobians = unit + opposite @ jacobians / k
+        jacobians = np.asarray(unit + opposite @ jacobians / k, dtype=np.float64)
     inverted: F64 = np.linalg.inv(jacobians)
     return inverted
 

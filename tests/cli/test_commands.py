@@ -2,9 +2,11 @@
 
 import inspect
 import json
+import shutil
 import textwrap
 import tomllib
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -248,6 +250,25 @@ def test_evaluate_aligns_as_asked(done: Path, stillroom: Callable) -> None:
     refused = stillroom(*judge, "--align", "rigid")
     assert refused.code == 1
     assert "align is 'rigid'; it must be 'se3' or 'sim3'" in refused.errors[0]
+
+
+def test_a_run_that_is_up_to_scale_is_aligned_by_sim3_everywhere(
+    done: Path, stillroom: Callable, tmp_path: Path
+) -> None:
+    metric = json.loads(stillroom("evaluate", done, "--align", "sim3", "--json").out)["as_given"]
+    done = shutil.copytree(done, tmp_path / "monocular")
+    trajectory = read_tum(done / "trajectory.tum")
+    replace(trajectory.scaled(5.0), is_metric=False).write_tum(done / "trajectory.tum")
+    said = stillroom("evaluate", done)
+    assert said.code == 0, said.err
+    assert "it was aligned by Sim(3)" in said.out
+    figures = json.loads((done / "metrics.json").read_text(encoding="utf-8"))["as_given"]
+    assert figures["alignment"] == "Sim(3)"
+    assert figures["ate_sim3_m"]["rmse"] == pytest.approx(metric["ate_sim3_m"]["rmse"], abs=1e-5)
+    page = (done / "report.html").read_text(encoding="utf-8")
+    assert "ATE, RMSE after Sim(3)" in page
+    assert "ATE, RMSE after SE(3)" not in page
+    assert f"drawn after Sim(3) alignment, × {figures['scale']:.4g}" in page
 
 
 def test_evaluate_by_another_clock(done: Path, stillroom: Callable) -> None:

@@ -85,11 +85,10 @@ def inverse_right_jacobian(tangents: Floats) -> F64:
     """Return the derivatives (N, 7, 7) of `log(exp(r) exp(ξ))` by ξ at 0, for tangents r (N, 7)."""
     opposite = -_small_adjoint(np.asarray(tangents, dtype=np.float64))
     unit = np.eye(7)
-    jacobians: F64 = np.broadcast_to(unit, opposite.shape)
+    jacobians = np.zeros_like(opposite) + unit
     for k in range(_TERMS, 1, -1):  # Σ (−ad)ⁿ / (n + 1)!, from the last term on
-        jacobians = np.asarray(unit + opposite @ jacobians / k, dtype=np.float64)
-    inverted: F64 = np.linalg.inv(jacobians)
-    return inverted
+        jacobians = unit + opposite @ jacobians / k
+    return np.asarray(np.linalg.inv(jacobians), dtype=np.float64)
 
 
 def _small_adjoint(xi: F64) -> F64:

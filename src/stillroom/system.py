@@ -146,16 +146,16 @@ class System:
         """
         placed = self._in_main()
         poses = [self._pose_now(result) for result in placed]
-        final = _trajectory([result.timestamp_s for result in placed], poses)
+        final = self._as_trajectory([result.timestamp_s for result in placed], poses)
         if not self.prior.enabled:
             return final
-        return Trajectory(final.timestamps_s, smoothed(*_as_arrays(final, placed), self.prior))
+        return replace(final, T_world_cam=smoothed(*_as_arrays(final, placed), self.prior))
 
     def online_trajectory(self) -> Trajectory:
         """Return the poses as `process` returned them, of frames that were in the main sub-map at that moment."""
         main = self.main_submap
         placed = [(r.timestamp_s, r.T_world_cam) for r in self.results if r.T_world_cam is not None if r.submap == main]
-        return _trajectory([stamp for stamp, _ in placed], [pose for _, pose in placed])
+        return self._as_trajectory([stamp for stamp, _ in placed], [pose for _, pose in placed])
 
     def lagged_trajectory(self) -> Trajectory | None:
         """Return the online poses each as settled a few frames later, under the prior; None where there is no prior."""
@@ -164,14 +164,14 @@ class System:
         main = self.main_submap
         placed = [result for result in self.results if result.T_world_cam is not None and result.submap == main]
         online = self.online_trajectory()
-        return Trajectory(online.timestamps_s, lagged(*_as_arrays(online, placed), self.prior))
+        return replace(online, T_world_cam=lagged(*_as_arrays(online, placed), self.prior))
 
     def keyframe_trajectory(self) -> Trajectory:
         """Return the poses of this run's keyframes in the main sub-map; those of earlier runs are left out."""
         keyframes = self.map.keyframes
         chosen = np.flatnonzero(keyframes.is_alive & (keyframes.submap == self.main_submap))
         chosen = chosen[chosen >= self.first_keyframe]
-        return _trajectory(list(keyframes.timestamp_s[chosen]), list(keyframes.T_world_cam[chosen]))
+        return self._as_trajectory(list(keyframes.timestamp_s[chosen]), list(keyframes.T_world_cam[chosen]))
 
     @property
     def main_submap(self) -> int:
@@ -299,9 +299,13 @@ class System:
         main, submap = self.main_submap, self.map.keyframes.submap
         return [r for r in self.results if r.T_reference_cam is not None and submap[r.reference_keyframe] == main]
 
+    def _as_trajectory(self, timestamps_s: list[float], poses: list[F64]) -> Trajectory:
+        T_world_cam = np.array(poses, dtype=np.float64).reshape(-1, 4, 4)
+        return Trajectory(np.array(timestamps_s, dtype=np.float64), T_world_cam, self.map.sensor.is_metric)
+
     def _pose_now(self, result: FrameSummary) -> F64:
         assert result.T_reference_cam is not None
-        return self.map.keyframe_pose(result.reference_keyframe) @ result.T_reference_cam
+        return self.map.placed_by(result.reference_keyframe, result.T_reference_cam)
 
     def _submap_of(self, tracked: Tracked) -> int:
         known = tracked.reference_keyframe >= 0
@@ -310,7 +314,7 @@ class System:
     def _in_reference(self, tracked: Tracked) -> F64 | None:
         if tracked.T_world_cam is None:
             return None
-        return se3.inverse(self.map.keyframe_pose(tracked.reference_keyframe)) @ tracked.T_world_cam
+        return self.map.noted_in(tracked.reference_keyframe, tracked.T_world_cam)
 
 
 def build(
@@ -428,7 +432,3 @@ def _as_arrays(trajectory: Trajectory, placed: list[FrameSummary]) -> tuple[F64,
     """Return times (N,) and poses (N, 4, 4) of a trajectory, and how many points agree with each (N,)."""
     n_agreeing = np.array([result.n_agreeing for result in placed], dtype=np.float64)
     return trajectory.timestamps_s, trajectory.T_world_cam, n_agreeing
-
-
-def _trajectory(timestamps_s: list[float], poses: list[F64]) -> Trajectory:
-    return Trajectory(np.array(timestamps_s, dtype=np.float64), np.array(poses, dtype=np.float64).reshape(-1, 4, 4))

@@ -2,9 +2,11 @@
 
 import inspect
 import json
+import shutil
 import textwrap
 import tomllib
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -231,6 +233,42 @@ def test_evaluate_anyone_s_trajectory(done: Path, stillroom: Callable) -> None:
     )
     assert stillroom("evaluate", "--estimate", estimate, "--groundtruth", truth).code == 0
     assert [path.name.split("_", 2)[2] for path in Path("results").iterdir()] == ["evaluation_trajectory_online"]
+
+
+def test_evaluate_aligns_as_asked(done: Path, stillroom: Callable) -> None:
+    judge = ("evaluate", "--estimate", done / "trajectory.tum", "--groundtruth", done / "groundtruth.tum")
+    said = stillroom(*judge, "--align", "sim3", "--out", "judged")
+    assert said.code == 0, said.err
+    assert "ATE [m], Sim(3), scale" in said.out
+    assert "ATE [m], SE(3)" not in said.out
+    assert "it was aligned by Sim(3)" in said.out
+    figures = json.loads(Path("judged/metrics.json").read_text(encoding="utf-8"))
+    assert figures["as_given"]["alignment"] == "Sim(3)"
+    of_folder = json.loads(stillroom("evaluate", done, "--align", "sim3", "--json").out)
+    assert of_folder["as_given"]["alignment"] == "Sim(3)"
+    assert "as_given" in json.loads((done / "metrics.json").read_text(encoding="utf-8"))
+    refused = stillroom(*judge, "--align", "rigid")
+    assert refused.code == 1
+    assert "align is 'rigid'; it must be 'se3' or 'sim3'" in refused.errors[0]
+
+
+def test_a_run_that_is_up_to_scale_is_aligned_by_sim3_everywhere(
+    done: Path, stillroom: Callable, tmp_path: Path
+) -> None:
+    metric = json.loads(stillroom("evaluate", done, "--align", "sim3", "--json").out)["as_given"]
+    done = shutil.copytree(done, tmp_path / "monocular")
+    trajectory = read_tum(done / "trajectory.tum")
+    replace(trajectory.scaled(5.0), is_metric=False).write_tum(done / "trajectory.tum")
+    said = stillroom("evaluate", done)
+    assert said.code == 0, said.err
+    assert "it was aligned by Sim(3)" in said.out
+    figures = json.loads((done / "metrics.json").read_text(encoding="utf-8"))["as_given"]
+    assert figures["alignment"] == "Sim(3)"
+    assert figures["ate_sim3_m"]["rmse"] == pytest.approx(metric["ate_sim3_m"]["rmse"], abs=1e-5)
+    page = (done / "report.html").read_text(encoding="utf-8")
+    assert "ATE, RMSE after Sim(3)" in page
+    assert "ATE, RMSE after SE(3)" not in page
+    assert f"drawn after Sim(3) alignment, × {figures['scale']:.4g}" in page
 
 
 def test_evaluate_by_another_clock(done: Path, stillroom: Callable) -> None:

@@ -80,7 +80,7 @@ def test_joining_moves_a_piece_rigidly_and_nothing_else() -> None:
     cosines = normals_towards(world)
     T = pose(1.0, 2.0, 3.0, turn=(0.3, -0.2, 0.5)) @ se3.inverse(submaps.origin(1))
     T_culled = world.keyframe_pose(5)
-    submaps.join(1, 0, T, 2, world)
+    submaps.join(1, 0, T, 1.0, 2, world)
     assert submaps.unjoined(world).tolist() == [0]
     assert world.keyframes.parent.tolist() == [-1, 0, 1, 2, 3, 4, 5]
     np.testing.assert_allclose(world.keyframes.T_world_cam[[3, 4, 6]], T @ before[[3, 4, 6]], atol=1e-9)
@@ -106,7 +106,7 @@ def normals_towards(world: Map) -> np.ndarray:
 
 def test_ids_of_pieces_are_never_used_again() -> None:
     world = two_pieces()
-    submaps.join(1, 0, np.eye(4), 2, world)
+    submaps.join(1, 0, np.eye(4), 1.0, 2, world)
     frame, _ = SmallWorld.of(1).look(pose())
     assert frame.camera == CAMERA
     keyframe = world.add_keyframe(frame, pose(), np.full(len(frame), -1, np.int32), frame.is_static, -1)

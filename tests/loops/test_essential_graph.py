@@ -7,7 +7,8 @@ from small_world import SCALES, pose
 
 from stillroom.data.map import Map
 from stillroom.geometry import se3
-from stillroom.loops.correction import alive_parent, connected_to, essential_edges, paths_from, shared_points
+from stillroom.loops.correction import connected_to, essential_edges, paths_from, shared_points
+from stillroom.loops.moves import alive_parent
 
 
 def bare_map(poses: list[np.ndarray], parents: list[int], weights: dict[tuple[int, int], int]) -> Map:

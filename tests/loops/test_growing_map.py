@@ -7,8 +7,8 @@ from ring_map import Ring, ring
 from small_world import CAMERA
 
 from stillroom.geometry import se3
-from stillroom.loops.correction import follow_keyframes, move_rigidly
 from stillroom.loops.global_bundle import GlobalBundle
+from stillroom.loops.moves import Places, follow_keyframes, move
 from stillroom.loops.verdict import Snapshot
 from stillroom.optimize.bundle import BundleConfig
 
@@ -91,9 +91,9 @@ def test_undoing_keeps_what_came_since_and_moves_it_along() -> None:
     before, snapshot = contents(world), Snapshot(world)
     # What a wrong loop does: it moves half the map, joins points that are not one, and drops observations.
     T_wrong = se3.exp(np.array([0.5, 0.1, 0.0, 0.1, 0.2, 0.0]))
-    T_world_old = world.keyframes.T_world_cam.copy()
-    move_rigidly(range(8, 16), T_wrong, world)
-    follow_keyframes(np.arange(len(world.points)), T_world_old, world)
+    old = Places.of(world)
+    move(range(8, 16), T_wrong, 1.0, world)
+    follow_keyframes(np.arange(len(world.points)), old, world)
     world.replace_points(np.arange(0, 40, 2), np.arange(1, 41, 2))
     world.remove_observations(np.arange(200, 300))
     world.loop_edges.append((3, 9))
@@ -123,10 +123,10 @@ def test_points_go_with_the_keyframe_that_saw_them_first(point_share: float) -> 
     made = ring(n=10, laps=0.2, drift_m=0.0, drift_rad=0.0)
     world = made.map
     ids = np.arange(int(point_share * len(world.points)))
-    old, poses = world.points.position_m.copy(), world.keyframes.T_world_cam.copy()
+    old, places = world.points.position_m.copy(), Places.of(world)
     T_moved = se3.exp(np.array([0.3, 0, 0.1, 0, 0.4, 0]))
-    move_rigidly([3, 4], T_moved, world)
-    follow_keyframes(ids, poses, world)
+    move([3, 4], T_moved, 1.0, world)
+    follow_keyframes(ids, places, world)
     for point in range(len(world.points)):
         goes = point in ids and world.points.first_keyframe[point] in (3, 4)
         expected = se3.transform(T_moved, old[point][None])[0] if goes else old[point]

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from building import parts
 from map_checks import check_links, check_same, contents
-from ring_map import Ring, ring
+from ring_map import Ring, false_loop, ring
 from small_world import CAMERA
 
 from stillroom.errors import ConfigError
 from stillroom.geometry import se3
 from stillroom.loops.detection import DetectionConfig
 from stillroom.loops.loop_closer import LoopCloser, LoopsConfig, NoLoops
-from stillroom.loops.verification import Loop, Verifier
+from stillroom.loops.verification import Verifier
 
 
 def closer_of(made: Ring, **changes: Any) -> LoopCloser:
@@ -106,19 +106,6 @@ def test_what_drift_cannot_have_brought_within_sight_is_not_even_looked_at(monke
     assert looked_at == []
     run(made, closer_of(made))
     assert looked_at
-
-
-def false_loop(made: Ring, keyframe: int, candidate: int) -> Loop:
-    """A keyframe that is said to see what another one sees, near where it would be seen from there."""
-    world = made.map
-    T_world_cam = world.keyframes.T_world_cam[candidate] @ se3.exp(np.array([0.1, 0.0, 0.1, 0.0, 0.05, 0.0]))
-    own = world.points_of(candidate)
-    points = own[own >= 0]
-    px = CAMERA.project(se3.transform(se3.inverse(T_world_cam), world.points.position_m[points]))
-    rows = np.arange(world.rows(keyframe).start, world.rows(keyframe).stop)
-    nearest = np.linalg.norm(world.keypoints.px[rows][None] - px[:, None], axis=2).argmin(axis=1)
-    _, once = np.unique(nearest, return_index=True)
-    return Loop(keyframe, candidate, T_world_cam, rows[nearest[once]], points[once].astype(np.int32), len(once))
 
 
 @pytest.mark.parametrize(("keyframe", "candidate"), [(20, 4), (29, 20)])

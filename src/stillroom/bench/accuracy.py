@@ -6,9 +6,9 @@ from typing import Any
 
 from stillroom.bench.trial import Trial
 from stillroom.evaluation.earlier import Earlier
-from stillroom.evaluation.report import percent
+from stillroom.evaluation.report import percent, said_alignment
 from stillroom.evaluation.timing import processor
-from stillroom.evaluation.trajectory_errors import Spread, improvement_percent
+from stillroom.evaluation.trajectory_errors import Alignment, Spread, improvement_percent
 
 HEADER = ("method", "ATE median", "mean", "min", "max", "improvement", "tracked", "RPE m/s", "deg/s")
 """Names of the columns of `Accuracy.row`; ATE in m."""
@@ -18,6 +18,8 @@ SMOOTHNESS_HEADER = (
 )  # fmt: skip
 """Names of the columns of `Accuracy.smoothness_row`; milliseconds are of CPU."""
 NONE = "–"
+ATE_KEYS = {Alignment.SE3: "ate_se3_m", Alignment.SIM3: "ate_sim3_m"}
+"""The name of the ATE in JSON."""
 
 
 @dataclass(frozen=True)
@@ -64,10 +66,16 @@ class Accuracy:
 
     @property
     def ate_m(self) -> Spread | None:
-        """ATE RMSE, SE(3), ground truth as given [m]; None where one of the runs has none."""
+        """ATE RMSE, ground truth as given [m]; None where one of the runs has none."""
         figures = [trial.ate_m for trial in self.trials]
         known = [figure for figure in figures if figure is not None]
         return Spread.of(known) if len(known) == len(figures) else None
+
+    @property
+    def alignment(self) -> Alignment:
+        """How the trajectories were aligned for it: those of one method on one sequence are of one kind."""
+        known = [trial.evaluation.alignment for trial in self.trials if trial.evaluation is not None]
+        return known[0] if known else Alignment.SE3
 
     @property
     def coverage(self) -> Spread:
@@ -155,7 +163,7 @@ class Accuracy:
         return {
             "sequence": self.sequence,
             "method": self.method,
-            "ate_se3_m": None if ate_m is None else asdict(ate_m),
+            ATE_KEYS[self.alignment]: None if ate_m is None else asdict(ate_m),
             "still_camera_m": self.still_camera_m,
             "improvement_percent": None if baseline is self else self.improvement_percent(baseline),
             "baseline": baseline.method,
@@ -171,13 +179,18 @@ class Accuracy:
         }
 
 
+def aligned_by(table: Sequence[Accuracy]) -> str:
+    """Return by what the trajectories of some rows were aligned, in words."""
+    return said_alignment(trial.evaluation for row in table for trial in row.trials)
+
+
 def sentences(table: Sequence[Accuracy], dense: bool = False) -> list[str]:
     """Return, for one sequence, notes on how to read the rows; `dense`: whether dense maps were made."""
     still = next((row.still_camera_m for row in table if row.still_camera_m is not None), None)
     n = len(table[0].trials)
     lines = [
-        f"ATE: RMSE [m] after SE(3) alignment, ground truth as given, over {n} run{'s' if n > 1 else ''} with seeds "
-        f"0 to {n - 1}; tracked: the worst run's share of {table[0].trials[0].n_given} frames; RPE over 1 s: median; "
+        f"ATE: RMSE [m] after {aligned_by(table)} alignment, ground truth as given, over {n} run{'s' if n > 1 else ''} "
+        f"with seeds 0 to {n - 1}; tracked: the worst run's share of {table[0].trials[0].n_given} frames; RPE over 1 s: median; "
         "jitter: RMS of the second difference of the position error from frame to frame, fast and slow: of the error "
         "faster and slower than one second, medians; power above 1 Hz: of the estimated motion, as a share of the true "
         "one's; online, lagged: poses as known when their images were processed, and a few frames later, of methods "

@@ -17,6 +17,7 @@ SPREAD = {"median", "min", "max"}
 NAMES = ("method", "name", "search")
 FIGURES = {
     "ate_se3_m": "ATE [m]",
+    "ate_sim3_m": "ATE [m] after Sim(3)",
     "coverage": "share of the frames tracked",
     "rpe_translation_m_s": "RPE [m/s]",
     "rpe_rotation_deg_s": "RPE [deg/s]",

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from stillroom.bench.accuracy import NONE, Accuracy
+from stillroom.bench.accuracy import NONE, Accuracy, aligned_by
 from stillroom.bench.trial import FrameAverages, all_keypoints
 from stillroom.config import SlamConfig
 from stillroom.dynamics.chain import KeepAllConfig
@@ -104,8 +104,9 @@ def sentences(table: Sequence[Way]) -> list[str]:
     first = table[0].accuracy
     boxed = table[0].boxed
     n = len(first.trials)
+    aligned = aligned_by([way.accuracy for way in table])
     lines = [
-        f"ATE: RMSE after SE(3) alignment, ground truth as given, median of {n} run{'s' if n > 1 else ''}; "
+        f"ATE: RMSE after {aligned} alignment, ground truth as given, median of {n} run{'s' if n > 1 else ''}; "
         "static kept: keypoints judged static per tracked frame in which the detector sees something movable "
         f"({boxed.n_frames if boxed else 0} of {first.trials[0].n_given} frames); against boxes: in those that both "
         "tracked; in use: map points that agree with the pose there",

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
-from stillroom.bench.accuracy import NONE, Accuracy
+from stillroom.bench.accuracy import NONE, Accuracy, aligned_by
 from stillroom.config import SlamConfig
 from stillroom.config.kinds import MatchSieveConfig
 from stillroom.config.sensors import with_depth
@@ -66,9 +66,9 @@ def sentences(table: Sequence[Accuracy], readout_s: float) -> list[str]:
     """Return notes on how to read the rows; `readout_s`: of the sequence's camera."""
     n = len(table[0].trials)
     lines = [
-        f"ATE: RMSE [m] after SE(3) alignment, ground truth as given, over {n} run{'s' if n > 1 else ''}; jitter: RMS "
-        "of the second difference of the position error [mm]; faster, slower: of the error faster and slower than one "
-        "second [mm]; RPE over 1 s; tracked: the worst run's share"
+        f"ATE: RMSE [m] after {aligned_by(table)} alignment, ground truth as given, over {n} run{'s' if n > 1 else ''};"
+        " jitter: RMS of the second difference of the position error [mm]; faster, slower: of the error faster and "
+        "slower than one second [mm]; RPE over 1 s; tracked: the worst run's share"
     ]
     if readout_s == 0.0:
         lines.append("this camera's readout is 0, a global shutter: modelling a rolling one changes nothing")

@@ -102,8 +102,8 @@ class Trial:
 
     @property
     def ate_m(self) -> float | None:
-        """ATE RMSE after SE(3) alignment, ground truth as given [m]."""
-        return None if self.evaluation is None else self.evaluation.as_given.ate_se3_m.rmse
+        """ATE RMSE after the trajectory's alignment, ground truth as given [m]."""
+        return None if self.evaluation is None else self.evaluation.as_given.ate_m.rmse
 
     @property
     def rpe(self) -> tuple[float, float] | None:

@@ -91,9 +91,9 @@ def _row(outcome: RunOutcome, baseline: RunOutcome) -> tuple[str, ...]:
     found, other = outcome.evaluation, baseline.evaluation
     if found is None:
         return (outcome.method, "–", "–", percent(outcome.n_tracked / max(outcome.n_given, 1)), "–")
-    ate_m, gain = found.as_given.ate_se3_m.rmse, None
+    ate_m, gain = found.as_given.ate_m.rmse, None
     if other is not None and outcome is not baseline:
-        gain = improvement_percent(other.as_given.ate_se3_m.rmse, ate_m)
+        gain = improvement_percent(other.as_given.ate_m.rmse, ate_m)
     share = ate_m / found.as_given.still_camera_m if found.as_given.still_camera_m else None
     improvement = "–" if gain is None else f"{gain:+.1f} %"
     against_still = "–" if share is None else f"{share * 100:.0f} %"

@@ -10,9 +10,16 @@ from stillroom.errors import ConfigError, TrajectoryError
 
 if TYPE_CHECKING:
     from stillroom.evaluation.time_matching import TimeMatching
+    from stillroom.evaluation.trajectory_errors import Alignment
     from stillroom.pipeline.results import Truth
 
 DEFAULT_FOLDER = Path("results/latest")
+Sequence = Annotated[
+    str | None, typer.Option(metavar="SEQUENCE", help="The sequence whose ground truth it is, instead of a file.")
+]
+Baseline = Annotated[
+    Path | None, typer.Option(metavar="PATH", help="Another folder, or file, to report the improvement over.")
+]
 Out = Annotated[Path | None, typer.Option(metavar="DIR", help="Where figures and pictures of an estimate go.")]
 MaxGap = Annotated[float, typer.Option(metavar="S", help="Poses further apart in time than this are not compared.")]
 Offset = Annotated[
@@ -21,6 +28,13 @@ Offset = Annotated[
 ]
 Interpolate = Annotated[
     bool, typer.Option("--interpolate", help="Interpolate the ground truth, which is slow, at the estimate's times.")
+]
+Align = Annotated[
+    str | None,
+    typer.Option(
+        metavar="se3|sim3",
+        help="Align rigidly, or with a free scale. \\[default: se3; sim3 of trajectories that are up to scale]",
+    ),
 ]
 
 
@@ -34,22 +48,20 @@ def evaluate(
     groundtruth: Annotated[
         Path | None, typer.Option(metavar="FILE", help="The ground truth of the estimate, in the TUM format.")
     ] = None,
-    sequence: Annotated[
-        str | None, typer.Option(metavar="SEQUENCE", help="The sequence whose ground truth it is, instead of a file.")
-    ] = None,
-    baseline: Annotated[
-        Path | None, typer.Option(metavar="PATH", help="Another folder, or file, to report the improvement over.")
-    ] = None,
+    sequence: Sequence = None,
+    baseline: Baseline = None,
     out: Out = None,
     max_gap: MaxGap = MAX_GAP_S,
     offset: Offset = "0",
     interpolate: Interpolate = False,
+    align: Align = None,
     formats: Formats = None,
     json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON; write nothing.")] = False,
 ) -> None:
     """Evaluate a trajectory: ATE and RPE.
 
-    Against the ground truth, beside the static-pose baseline: a camera that never moved.
+    Against the ground truth, beside the static-pose baseline: a camera that never moved. A monocular run, which knows
+    no scale, is aligned by Sim(3), and so is any trajectory with --align sim3; RPE is then of the scaled trajectory.
 
     Figures, pictures and the report are written into the folder of the run.
 
@@ -62,10 +74,11 @@ def evaluate(
     from stillroom.pipeline.results import chosen_folder, new_folder
 
     show_log()
+    alignment = None if align is None else _alignment(align)
     matching, drawn = _matching(max_gap, offset, interpolate), chosen_of("--format", formats, PLOT_FORMATS)
     if estimate is None:
         _refuse(("--groundtruth", groundtruth), ("--sequence", sequence), ("--out", out))
-        judged = evaluate_folder(folder or DEFAULT_FOLDER, baseline, not json, matching, drawn)
+        judged = evaluate_folder(folder or DEFAULT_FOLDER, baseline, not json, matching, drawn, alignment)
     else:
         if folder is not None:
             raise ConfigError(f"both {folder} and --estimate {estimate} are given; leave one out")
@@ -75,7 +88,7 @@ def evaluate(
             place = (
                 chosen_folder(out) if out else new_folder(Path("results"), "evaluation", estimate.stem, latest=False)
             )
-        judged = evaluate_files(estimate, truth, place, baseline, matching, drawn)
+        judged = evaluate_files(estimate, truth, place, baseline, matching, drawn, alignment)
     if json:
         typer.echo(to_json(judged.evaluation), nl=False)
         return
@@ -95,6 +108,15 @@ def _matching(max_gap_s: float, offset: str, interpolate: bool) -> "TimeMatching
         return TimeMatching(max_gap_s, float(offset), interpolate)
     except ValueError:
         raise ConfigError(f"offset is '{offset}'; it must be a number of seconds, or '{ESTIMATE}'") from None
+
+
+def _alignment(asked: str) -> "Alignment":
+    from stillroom.evaluation.trajectory_errors import Alignment
+
+    named = {"se3": Alignment.SE3, "sim3": Alignment.SIM3}
+    if asked not in named:
+        raise ConfigError(f"align is '{asked}'; it must be 'se3' or 'sim3'")
+    return named[asked]
 
 
 def _shown(folder: Path | None) -> str:

@@ -12,6 +12,9 @@ from stillroom.errors import TrajectoryError
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64
 
+UP_TO_SCALE = "up to scale"
+"""What a comment in a file says of a trajectory that is not metric."""
+
 
 @dataclass(frozen=True)
 class Trajectory:
@@ -20,10 +23,13 @@ class Trajectory:
     Attributes:
         timestamps_s: Times (M,) float64 [s].
         T_world_cam: Poses (M, 4, 4) float64; a point of the camera frame goes to the world.
+        is_metric: Whether lengths are metres. Those of a monocular run are known up to scale: what stands in metres
+            here is in a unit of its map.
     """
 
     timestamps_s: F64
     T_world_cam: F64
+    is_metric: bool = True
 
     def __len__(self) -> int:
         """Number of poses."""
@@ -34,14 +40,23 @@ class Trajectory:
         """Camera centres (M, 3) [m]."""
         return self.T_world_cam[:, :3, 3]
 
+    def scaled(self, scale: float) -> "Trajectory":
+        """Return it with positions multiplied by the scale that makes it metric."""
+        T_world_cam = self.T_world_cam.copy()
+        T_world_cam[:, :3, 3] *= scale
+        return Trajectory(self.timestamps_s, T_world_cam)
+
     def write_tum(self, path: Path | str) -> None:
         """Write `timestamp tx ty tz qx qy qz qw`, one pose a line; a file that is there is replaced as a whole.
+
+        A comment says where it is up to scale; `read_tum` understands it, and other tools skip it.
 
         Raises:
             StillroomError: It cannot be written.
         """
         quaternions_xyzw = se3.to_quaternions_xyzw(self.T_world_cam) if len(self) else np.zeros((0, 4))
-        lines = ["# timestamp tx ty tz qx qy qz qw"]
+        lines = [] if self.is_metric else [f"# {UP_TO_SCALE}: positions are in a unit of the map, not in metres"]
+        lines.append("# timestamp tx ty tz qx qy qz qw")
         for stamp, position, quaternion in zip(self.timestamps_s, self.positions_m, quaternions_xyzw, strict=True):
             numbers = " ".join(f"{value:.7f}" for value in (*position, *quaternion))
             lines.append(f"{stamp:.6f} {numbers}")
@@ -50,13 +65,14 @@ class Trajectory:
 
 
 def read_tum(path: Path) -> Trajectory:
-    """Read a trajectory in the TUM format.
+    """Read a trajectory in the TUM format; it is metric unless a comment at its start says that it is up to scale.
 
     Raises:
         TrajectoryError: The file is missing, empty or not text; a line has other than eight numbers, a number
             that is not finite, or a quaternion whose length is not 1 within 1 %; times repeat or go back.
     """
-    rows = _read_rows(path)
+    text = _text_of(path)
+    rows = _read_rows(path, text)
     if not rows:
         raise TrajectoryError(f"{path}: no poses in it; expected lines 'timestamp tx ty tz qx qy qz qw'")
     numbers = np.array([values for _, values in rows])
@@ -71,16 +87,20 @@ def read_tum(path: Path) -> Trajectory:
         bad = int(np.argmax(steps <= 0)) + 1
         word = "repeats" if steps[bad - 1] == 0 else "goes back"
         raise TrajectoryError(f"{path}:{rows[bad][0]}: the timestamp {word}; times must increase")
-    return Trajectory(numbers[:, 0], se3.from_quaternions_xyzw(numbers[:, 4:], numbers[:, 1:4]))
+    is_metric = not text.startswith(f"# {UP_TO_SCALE}")
+    return Trajectory(numbers[:, 0], se3.from_quaternions_xyzw(numbers[:, 4:], numbers[:, 1:4]), is_metric)
 
 
-def _read_rows(path: Path) -> list[tuple[int, list[float]]]:
+def _text_of(path: Path) -> str:
     try:
-        text = read_text(path)
+        return read_text(path)
     except FileNotFoundError:
         raise TrajectoryError(f"{path}: no such file; expected a trajectory in the TUM format") from None
     except (OSError, UnicodeError) as error:
         raise TrajectoryError(f"{path}: cannot be read as text ({error}) [see troubleshooting: text-files]") from error
+
+
+def _read_rows(path: Path, text: str) -> list[tuple[int, list[float]]]:
     rows: list[tuple[int, list[float]]] = []
     for line_number, line in enumerate(text.splitlines(), start=1):
         words = line.replace(",", " ").split()

@@ -1,7 +1,7 @@
 """All figures of one trajectory together."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -11,6 +11,7 @@ from stillroom.evaluation.earlier import Earlier, earlier
 from stillroom.evaluation.smoothness import Smoothness, smoothness
 from stillroom.evaluation.time_matching import TimeMatching, estimate_offset_s
 from stillroom.evaluation.trajectory_errors import (
+    Alignment,
     RelativeError,
     SparseTruthError,
     Statistics,
@@ -35,12 +36,14 @@ class Comparison:
         n_compared: Poses compared.
         ate_se3_m, ate_sim3_m: Absolute errors after rigid alignment, and after one that may scale [m].
         scale: The scale that Sim(3) alignment found.
-        still_camera_m: ATE RMSE, SE(3), of the static-pose baseline (a camera that never moved), over the same poses
-            [m].
+        still_camera_m: ATE RMSE of the static-pose baseline (a camera that never moved), over the same poses [m]; the
+            same by either alignment.
         rpe_1s: Drift over 1 s [m/s, deg/s], TUM's rule; None for a trajectory too short for it.
         rpe_30_frames: Drift over 30 poses [m, deg], evo's rule; None for a trajectory too short for it.
         rpe_refused: Why there are no relative errors, where it is not for want of poses; empty otherwise.
         smoothness: Jitter, and the error faster and slower than one second; None where too few poses follow each other.
+        alignment: How the estimate was aligned: by Sim(3) where it is up to scale. Relative errors and smoothness are
+            then those of the scaled estimate.
     """
 
     groundtruth: str
@@ -53,11 +56,24 @@ class Comparison:
     rpe_30_frames: RelativeError | None
     rpe_refused: str = ""
     smoothness: Smoothness | None = None
+    alignment: Alignment = Alignment.SE3
+
+    @property
+    def ate_m(self) -> Statistics:
+        """Absolute errors after the estimate's own alignment [m]: the ATE that tables quote."""
+        return self.ate_by(self.alignment)
+
+    def ate_by(self, alignment: Alignment) -> Statistics:
+        """Return the absolute errors after an alignment [m]."""
+        return self.ate_se3_m if alignment is Alignment.SE3 else self.ate_sim3_m
 
 
 @dataclass(frozen=True)
 class Improvement:
-    """How far RMSEs lie below a baseline's, (1 − β/α)·100 [%]; None where there is nothing to compare."""
+    """How far RMSEs lie below a baseline's, (1 − β/α)·100 [%]; None where there is nothing to compare.
+
+    Where either trajectory is up to scale, the ATE of both is that after Sim(3).
+    """
 
     baseline: str
     ate_percent: float | None
@@ -100,13 +116,19 @@ class Evaluation:
         return self.n_tracked / self.n_given if self.n_given else None
 
     @property
+    def alignment(self) -> Alignment:
+        """How the estimate was aligned."""
+        return self.as_given.alignment
+
+    @property
     def for_rpe(self) -> Comparison:
         """The comparison whose relative errors are meaningful."""
         return self.at_camera or self.as_given
 
     def against(self, baseline: "Evaluation", name: str) -> "Evaluation":
         """Return the same figures with their improvement over a named baseline."""
-        ate_percent = improvement_percent(baseline.as_given.ate_se3_m.rmse, self.as_given.ate_se3_m.rmse)
+        by = Alignment.SE3 if self.alignment is baseline.alignment is Alignment.SE3 else Alignment.SIM3
+        ate_percent = improvement_percent(baseline.as_given.ate_by(by).rmse, self.as_given.ate_by(by).rmse)
         ours, theirs = self.for_rpe.rpe_1s, baseline.for_rpe.rpe_1s
         if ours is None or theirs is None:
             return replace(self, improvement=Improvement(name, ate_percent, None, None))
@@ -186,6 +208,7 @@ def compare(
         rpe_30_frames=over_30_frames,
         rpe_refused=refused,
         smoothness=_smoothness(estimate, given),
+        alignment=absolute.alignment,
     )
 
 
@@ -221,7 +244,7 @@ def values(evaluation: Evaluation) -> list[tuple[float | None, ...]]:
     comparisons = [given for given in (evaluation.as_given, evaluation.at_camera) if given is not None]
     errors: list[Statistics | None] = []
     for given in comparisons:
-        errors += [given.ate_se3_m, given.ate_sim3_m]
+        errors += [given.ate_by(alignment) for alignment in _alignments(given)]
         for relative in (given.rpe_1s, given.rpe_30_frames):
             errors += [None, None] if relative is None else [relative.translation_m, relative.rotation_deg]
     smooth = evaluation.for_rpe.smoothness
@@ -236,8 +259,13 @@ def lines(evaluation: Evaluation) -> list[str]:
         if comparison is not None:
             sentences.append(
                 f"{comparison.n_compared} poses compared with the ground truth {comparison.groundtruth}; static-pose "
-                f"baseline (a camera that never moved): ATE {comparison.still_camera_m:.4f} m (SE(3), RMSE)"
+                f"baseline (a camera that never moved): ATE {comparison.still_camera_m:.4f} m "
+                f"({comparison.alignment}, RMSE)"
             )
+    if evaluation.alignment is Alignment.SIM3:
+        sentences.append(
+            "the trajectory is up to scale: it was aligned by Sim(3), and RPE and smoothness are of the scaled one"
+        )
     if evaluation.offset_s:
         sentences.append(f"{evaluation.offset_s:+.4f} s were added to the estimate's times")
     if evaluation.interpolated:
@@ -282,13 +310,28 @@ def percent(share: float | None) -> str:
 
 
 def _rows(comparison: Comparison) -> list[tuple[str, ...]]:
-    truth, scale = comparison.groundtruth, comparison.scale
+    truth, scaled = comparison.groundtruth, f", scale {comparison.scale:.4f}"
     return [
-        _row("ATE [m], SE(3)", truth, comparison.ate_se3_m, 4),
-        _row(f"ATE [m], Sim(3), scale {scale:.4f}", truth, comparison.ate_sim3_m, 4),
+        *(
+            _row(f"ATE [m], {by}" + scaled * (by is Alignment.SIM3), truth, comparison.ate_by(by), 4)
+            for by in _alignments(comparison)
+        ),
         *_relative_rows("over 1 s", ("m/s", "deg/s"), truth, comparison.rpe_1s),
         *_relative_rows("over 30 frames", ("m", "deg"), truth, comparison.rpe_30_frames),
     ]
+
+
+def _alignments(comparison: Comparison) -> tuple[Alignment, ...]:
+    """Return the alignments whose errors mean something."""
+    return tuple(Alignment) if comparison.alignment is Alignment.SE3 else (Alignment.SIM3,)
+
+
+def said_alignment(evaluations: Iterable[Evaluation | None]) -> str:
+    """Return by what the trajectories of one table were aligned, in words."""
+    used = {evaluation.alignment for evaluation in evaluations if evaluation is not None}
+    if len(used) > 1:
+        return f"{Alignment.SE3}, of trajectories that are up to scale {Alignment.SIM3},"
+    return used.pop() if used else Alignment.SE3
 
 
 def _smoothness_rows(truth: str, smooth: Smoothness | None) -> list[tuple[str, ...]]:
@@ -380,6 +423,7 @@ def _comparison(data: dict[str, Any]) -> Comparison:
         rpe_30_frames=_relative(data["rpe_30_frames"]),
         rpe_refused=str(data.get("rpe_refused", "")),
         smoothness=_read_smoothness(data.get("smoothness")),  # earlier versions measured none
+        alignment=Alignment(data.get("alignment", Alignment.SE3)),  # earlier versions knew metric trajectories only
     )
 
 

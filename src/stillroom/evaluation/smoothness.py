@@ -23,7 +23,7 @@ SHORTEST_S = 3.0
 
 @dataclass(frozen=True)
 class Smoothness:
-    """The error of a trajectory over time, after SE(3) alignment, against the truth at the images' own times.
+    """The error of a trajectory over time, after alignment, against the truth at the images' own times.
 
     Attributes:
         jitter_m: Second differences of the position error, image to image [m].
@@ -45,6 +45,8 @@ class Smoothness:
 def smoothness(estimate: Trajectory, groundtruth: Trajectory) -> Smoothness:
     """Measure how smooth a trajectory is; the truth is interpolated (SE(3)) at its times.
 
+    It is aligned by SE(3); where it is up to scale, by Sim(3).
+
     Raises:
         TrajectoryError: Fewer than five poses have truth around them, or no three of them follow each other.
     """
@@ -53,8 +55,7 @@ def smoothness(estimate: Trajectory, groundtruth: Trajectory) -> Smoothness:
     T, times_s = estimate.T_world_cam[known], estimate.timestamps_s[known]
     if len(times_s) < MIN_POSES:
         raise TrajectoryError(f"only {len(times_s)} poses have truth around them; {MIN_POSES} are needed")
-    rigid = align(T[:, :3, 3], truth.positions_m, with_scale=False)
-    aligned = rigid.poses(T)
+    aligned = align(T[:, :3, 3], truth.positions_m, not estimate.is_metric).poses(T)
     error_m = aligned[:, :3, 3] - truth.positions_m
     together = _follow_each_other(times_s)
     if not together.any():

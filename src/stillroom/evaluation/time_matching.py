@@ -1,6 +1,6 @@
 """Bring an estimate and a ground truth to the same times: gaps, clocks that differ, and truth at a low rate."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -51,7 +51,7 @@ class TimeMatching:
         """
         offset_s = estimate_offset_s(estimate, groundtruth) if self.offset_s is None else self.offset_s
         if offset_s:
-            estimate = Trajectory(estimate.timestamps_s + offset_s, estimate.T_world_cam)
+            estimate = replace(estimate, timestamps_s=estimate.timestamps_s + offset_s)
         return estimate, interpolated(groundtruth, estimate.timestamps_s) if self.interpolate else groundtruth
 
 
@@ -99,8 +99,8 @@ def estimate_offset_s(estimate: Trajectory, groundtruth: Trajectory) -> float:
     """Return what is to be added to an estimate's times [s] so that they are those of the ground truth.
 
     The speeds of rotation, or of translation where nothing turns, are correlated; the offset of the highest
-    correlation is refined so that the absolute error (ATE, SE(3)) is smallest. Clocks may differ by any amount as long
-    as one trajectory covers half of the other.
+    correlation is refined so that the absolute error (ATE, SE(3), or Sim(3) of an estimate that is up to scale) is
+    smallest. Clocks may differ by any amount as long as one trajectory covers half of the other.
 
     Raises:
         TrajectoryError: There are too few poses, or the speeds do not resemble each other at any offset.
@@ -125,7 +125,7 @@ def estimate_offset_s(estimate: Trajectory, groundtruth: Trajectory) -> float:
         except TrajectoryError:
             return np.inf
         source_m = estimate.positions_m[np.isin(times_s, truth.timestamps_s)]
-        moved_m = align(source_m, truth.positions_m, with_scale=False).points(source_m)
+        moved_m = align(source_m, truth.positions_m, not estimate.is_metric).points(source_m)
         return float(np.sqrt(np.mean(np.sum((moved_m - truth.positions_m) ** 2, axis=1))))
 
     from scipy.optimize import minimize_scalar

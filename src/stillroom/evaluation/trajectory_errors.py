@@ -1,7 +1,8 @@
 """The absolute and the relative errors of a trajectory (Sturm et al., IROS 2012), and statistics of them."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
 
 import numpy as np
 
@@ -41,7 +42,7 @@ def pair(
             "[see troubleshooting: groundtruth-gaps]"
         )
     return (
-        Trajectory(estimate.timestamps_s[i], estimate.T_world_cam[i]),
+        replace(estimate, timestamps_s=estimate.timestamps_s[i], T_world_cam=estimate.T_world_cam[i]),
         Trajectory(groundtruth.timestamps_s[j], groundtruth.T_world_cam[j]),
     )
 
@@ -72,6 +73,33 @@ def _check(name: str, trajectory: Trajectory) -> None:
         raise TrajectoryError(
             f"{name}: pose {row} (from 0) at {trajectory.timestamps_s[row]:.6f} s is not finite; remove it"
         )
+
+
+# What is free when a trajectory is laid upon the truth.
+
+
+class Alignment(StrEnum):
+    """The kind of motion by which a trajectory is aligned with the truth before it is compared."""
+
+    SE3 = "SE(3)"
+    SIM3 = "Sim(3)"
+
+    @classmethod
+    def of(cls, estimate: Trajectory) -> "Alignment":
+        """Return the one that suits a trajectory: Sim(3) where it is known up to scale only."""
+        return cls.SE3 if estimate.is_metric else cls.SIM3
+
+
+def in_metres(estimate: Trajectory, groundtruth: Trajectory, max_gap_s: float = TUM_MAX_GAP_S) -> Trajectory:
+    """Return a trajectory that is up to scale with the scale at which it fits the truth best; a metric one as it is.
+
+    Raises:
+        TrajectoryError: The two cannot be compared (see `pair`).
+    """
+    if estimate.is_metric:
+        return estimate
+    ours, truth = pair(estimate, groundtruth, max_gap_s)
+    return estimate.scaled(align(ours.positions_m, truth.positions_m, with_scale=True).scale)
 
 
 # The six numbers that TUM's tools print of a list of errors, and the spread of one figure over several runs.
@@ -185,7 +213,7 @@ def rpe(
     As there, a pose is paired with the one whose time is closest to its own plus the interval, however far off
     that lies in a gap of the estimate (it may be the pose itself); pairs that end on the last pose are left out;
     a pose counts only when the ground truth has one within twice its median step. There, more than 10,000 pairs
-    are sampled at random; here all count.
+    are sampled at random; here all count. An estimate that is up to scale is scaled first (see `in_metres`).
 
     Raises:
         TrajectoryError: The two cannot be compared (see `check_comparable`), or fewer than two pairs are found.
@@ -193,6 +221,7 @@ def rpe(
     """
     check_comparable(estimate, groundtruth, max_gap_s)
     require_dense(estimate, groundtruth, max_gap_s)
+    estimate = in_metres(estimate, groundtruth, max_gap_s)
     times_s, true_times_s = estimate.timestamps_s, groundtruth.timestamps_s
     end = closest(times_s, times_s + delta_s)
     start = np.flatnonzero(end != len(times_s) - 1)
@@ -210,13 +239,15 @@ def rpe_frames(
 ) -> RelativeError:
     """Measure drift over a number of poses, for all pairs i, i + n, as `evo_rpe -d N -u f --all_pairs` does.
 
+    An estimate that is up to scale is scaled first, as `evo_rpe --align --correct_scale` does.
+
     Raises:
         TrajectoryError: The two cannot be compared (see `pair`), or fewer than two pairs are found.
         SparseTruthError: The ground truth has too few poses (see `require_dense`).
     """
     check_comparable(estimate, groundtruth, max_gap_s)
     require_dense(estimate, groundtruth, max_gap_s)
-    estimate, groundtruth = pair(estimate, groundtruth, max_gap_s)
+    estimate, groundtruth = pair(in_metres(estimate, groundtruth, max_gap_s), groundtruth, max_gap_s)
     start = np.arange(max(0, len(estimate) - n_frames))
     return _measure(estimate.T_world_cam, groundtruth.T_world_cam, start, start + n_frames, f"{n_frames} frames")
 
@@ -244,17 +275,20 @@ class AbsoluteError:
     """The distances of the camera centres from the truth, after the trajectories are aligned.
 
     The classical tables align with SE(3), the learned systems' with Sim(3), which can only be lower
-    (docs/reference.md#comparing-figures): both are here.
+    (docs/reference.md#comparing-figures): both are here. A trajectory that is up to scale is judged after Sim(3).
 
     Attributes:
-        se3_m: Errors after a rigid alignment [m].
+        alignment: By which the estimate is judged.
+        se3_m: Errors after a rigid alignment [m]; of a trajectory that is up to scale they mean nothing.
         sim3_m: Errors after an alignment that may also scale [m].
         scale: The scale that the Sim(3) alignment multiplies the estimate by.
-        still_camera_m: RMSE of the static-pose baseline over the same poses [m], to compare `se3_m` with.
-        aligned: The compared poses of the estimate after SE(3) alignment, N of them.
+        still_camera_m: RMSE of the static-pose baseline over the same poses [m], to compare them with.
+        aligned: The compared poses of the estimate after its alignment, N of them.
         groundtruth: Their counterparts, N.
-        errors_m: Distance of each pair after SE(3) alignment (N,) [m].
+        errors_m: Distance of each pair after its alignment (N,) [m].
     """
+
+    alignment: Alignment
 
     se3_m: Statistics
     sim3_m: Statistics
@@ -273,19 +307,23 @@ class AbsoluteError:
 def ate(estimate: Trajectory, groundtruth: Trajectory, max_gap_s: float = TUM_MAX_GAP_S) -> AbsoluteError:
     """Measure the absolute trajectory error of all poses that find a partner in time.
 
+    It is judged after SE(3) alignment; where it is up to scale, after Sim(3).
+
     Raises:
         TrajectoryError: The two cannot be compared (see `pair`).
     """
     estimate, groundtruth = pair(estimate, groundtruth, max_gap_s)
     source_m, target_m = estimate.positions_m, groundtruth.positions_m
     rigid, similar = align(source_m, target_m, with_scale=False), align(source_m, target_m, with_scale=True)
-    errors_m = np.linalg.norm(rigid.points(source_m) - target_m, axis=1)
+    rigid_m, similar_m = (np.linalg.norm(motion.points(source_m) - target_m, axis=1) for motion in (rigid, similar))
+    motion, errors_m = (rigid, rigid_m) if estimate.is_metric else (similar, similar_m)
     return AbsoluteError(
-        se3_m=Statistics.of(errors_m),
-        sim3_m=Statistics.of(np.linalg.norm(similar.points(source_m) - target_m, axis=1)),
+        alignment=Alignment.of(estimate),
+        se3_m=Statistics.of(rigid_m),
+        sim3_m=Statistics.of(similar_m),
         scale=similar.scale,
         still_camera_m=still_camera_m(target_m),
-        aligned=Trajectory(estimate.timestamps_s, rigid.poses(estimate.T_world_cam)),
+        aligned=Trajectory(estimate.timestamps_s, motion.poses(estimate.T_world_cam)),
         groundtruth=groundtruth,
         errors_m=errors_m,
     )

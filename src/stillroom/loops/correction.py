@@ -8,30 +8,20 @@ import numpy as np
 from stillroom.data.map import Map
 from stillroom.features.matching import NEAR_BITS
 from stillroom.features.projection import Window, keyframe_targets, search_around
-from stillroom.geometry import se3
+from stillroom.geometry import se3, sim3
 from stillroom.geometry.arrays import F64, I32, I64, Ints
 from stillroom.geometry.camera import Camera
+from stillroom.loops.freedom import Freedom, freedom_of
+from stillroom.loops.moves import Places, follow_keyframes, move, rescale_culled
 from stillroom.loops.verification import Loop
 from stillroom.optimize.pose_graph import PoseGraph, PoseGraphOptimizer
 
 WINDOW = Window(4.0, levels_above=0, max_bits=NEAR_BITS)
 TYPICAL_SHARED = 100.0
 LEAST_SHARED = 15.0
-SIGMA_M, SIGMA_RAD = 0.01, 0.005
-"""Standard deviations of the motion between keyframes that share a hundred points, related as at a depth of two
-metres.
-"""
 
 
 # The essential graph: few edges that carry the shape of the whole map (ORB-SLAM, Mur-Artal et al. 2015, III-D).
-
-
-def alive_parent(keyframe: int, world: Map) -> int:
-    """Return the nearest keyframe above this one in the spanning tree that was not culled; −1 for a root."""
-    parent = int(world.keyframes.parent[keyframe])
-    while parent >= 0 and not world.keyframes.is_alive[parent]:
-        parent = int(world.keyframes.parent[parent])
-    return parent
 
 
 def essential_edges(world: Map, min_weight: int | None) -> I64:
@@ -63,67 +53,27 @@ def shared_points(edges: I64, world: Map) -> F64:
     return np.array([world.covisibility.weight(int(first), int(second)) for first, second in edges], dtype=np.float64)
 
 
-def paths_from(keyframe: int, edges: I64, world: Map) -> F64:
+def paths_from(keyframe: int, edges: I64, world: Map, unit: float = 1.0) -> F64:
     """Return the length [m] of the shortest path through the graph to each keyframe (K,); infinite where there is none.
 
     An edge is as long as its keyframes are apart, and a rotation of one radian counts as a metre: both cause drift.
+
+    Args:
+        keyframe: Where paths start.
+        edges: The graph (E, 2).
+        world: The map.
+        unit: How long a metre is in the map; see `Freedom.unit`.
     """
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import dijkstra
 
     poses = world.keyframes.T_world_cam
     apart = se3.inverse(poses[edges[:, 0]]) @ poses[edges[:, 1]]
-    length_m = np.linalg.norm(apart[:, :3, 3], axis=1) + se3.angle_rad(apart)
+    length_m = np.linalg.norm(apart[:, :3, 3], axis=1) / unit + se3.angle_rad(apart)
     n = len(world.keyframes)
     graph = coo_matrix((length_m + 1e-9, (edges[:, 0], edges[:, 1])), shape=(n, n)).tocsr()
     lengths_m: F64 = dijkstra(graph, directed=False, indices=keyframe)
     return lengths_m
-
-
-# Points move with the keyframe that observed them first.
-
-
-def move_rigidly(keyframes: Sequence[int] | I64, T_new_old: F64, world: Map) -> None:
-    """Move keyframes (K,) by one motion (4, 4), without their points."""
-    chosen = np.asarray(keyframes, dtype=np.int64)
-    world.keyframes.T_world_cam[chosen] = T_new_old @ world.keyframes.T_world_cam[chosen]
-
-
-def follow_keyframes(point_ids: I64, T_world_old: F64, world: Map) -> None:
-    """Move points (P,) with the keyframe that saw each first.
-
-    Args:
-        point_ids: Points in the map; those without observations stay.
-        T_world_old: Poses of all keyframes (K, 4, 4) before they moved.
-        world: The map, its keyframes moved already.
-    """
-    rows = world.oldest_observations(point_ids)
-    ids, rows = point_ids[rows >= 0], rows[rows >= 0]
-    T_new_old = world.keyframes.T_world_cam[: len(T_world_old)] @ se3.inverse(T_world_old)
-    apply_motions(ids, T_new_old[world.keypoints.keyframe[rows]], world)
-
-
-def apply_motions(point_ids: I64, T_new_old: F64, world: Map) -> None:
-    """Move points (P,), each by its own motion (P, 4, 4)."""
-    positions_m = world.points.position_m[point_ids]
-    moved = np.einsum("nij,nj->ni", T_new_old[:, :3, :3], positions_m) + T_new_old[:, :3, 3]
-    world.points.position_m[point_ids] = moved
-
-
-def carry_newer(n_known: int, T_world_old: F64, world: Map) -> None:
-    """Move keyframes from id `n_known` on with their parents, which have moved since they were at `T_world_old`.
-
-    Args:
-        n_known: Number of keyframes that have been moved already.
-        T_world_old: Poses of all keyframes (K, 4, 4) before.
-        world: The map.
-    """
-    keyframes = world.keyframes
-    for keyframe in range(n_known, len(keyframes)):
-        parent = alive_parent(keyframe, world)
-        if parent >= 0 and keyframes.is_alive[keyframe]:
-            T_parent_cam = se3.inverse(T_world_old[parent]) @ T_world_old[keyframe]
-            keyframes.T_world_cam[keyframe] = keyframes.T_world_cam[parent] @ T_parent_cam
 
 
 # Fusing duplicate points when a place is seen again; the place's own points stay (ORB-SLAM2: SearchAndFuse).
@@ -160,60 +110,67 @@ class Correction:
     """A correction of the map.
 
     Attributes:
-        T_world_old: Poses of all keyframes (K, 4, 4) before.
         keyframes: Keyframes that were optimised, a whole connected component (N,).
         around: Those of them that observe the place, then or now (A,).
-        moved_m, turned_rad: How far the keyframe that closed the loop was moved and turned.
+        moved_m, turned_rad: How far the keyframe that closed the loop was moved and turned; a metre as `Freedom.unit`
+            has it.
+        rescaled: The logarithm of what lengths around it were multiplied by; 0 in a metric map.
     """
 
-    T_world_old: F64
     keyframes: I64
     around: I64
     moved_m: float
     turned_rad: float
+    rescaled: float = 0.0
 
 
 def close_loop(
     loop: Loop, world: Map, camera: Camera, optimize: PoseGraphOptimizer, essential_weight: int = 100
 ) -> Correction:
-    """Correct the map for a loop: ORB-SLAM2's CorrectLoop with the scale fixed.
+    """Correct the map for a loop: ORB-SLAM2's CorrectLoop, with the scale fixed in a metric map.
 
     The keyframe and its covisible ones get the poses that the loop implies, the place's points are fused into them,
-    and a pose graph distributes the error over all keyframes. Points follow the keyframe that saw them first.
+    and a pose graph distributes the error over all keyframes. Points follow the keyframe that saw them first, and take
+    part in its change of scale.
     """
-    T_world_old = world.keyframes.T_world_cam.copy()
+    before, freedom = Places.of(world), freedom_of(world)
     edges = essential_edges(world, essential_weight)
-    measured = se3.inverse(T_world_old[edges[:, 0]]) @ T_world_old[edges[:, 1]]
+    measured = se3.inverse(before.T_world_cam[edges[:, 0]]) @ before.T_world_cam[edges[:, 1]]
     shared = shared_points(edges, world)
     place = [loop.candidate, *world.covisibility.neighbours(loop.candidate)]
     group = [k for k in (loop.keyframe, *world.covisibility.neighbours(loop.keyframe)) if k not in place]
-    move_rigidly(group, loop.T_world_cam @ se3.inverse(T_world_old[loop.keyframe]), world)
+    move(group, loop.correction(world), loop.scale, world)
     known = {k: set(world.covisibility.neighbours(k)) for k in group}
     fuse_group(loop, place, group, camera, world)
     new = [(k, other) for k in group for other in world.covisibility.neighbours(k) if other not in known[k]]
     new = list(dict.fromkeys([(loop.keyframe, loop.candidate), *(pair for pair in new if pair[1] not in group)]))
     added = np.array(new, dtype=np.int64)
-    poses = world.keyframes.T_world_cam
+    nodes = sim3.of(world.keyframes.T_world_cam, before.growth(world))
     graph_edges = np.concatenate((edges, added))
     keyframes = connected_to(loop.keyframe, graph_edges, world)
-    optimized = optimize(
-        _graph(
-            graph_edges,
-            np.concatenate((measured, se3.inverse(poses[added[:, 0]]) @ poses[added[:, 1]])),
-            np.concatenate((shared, shared_points(added, world))),
-            keyframes,
-            poses,
-        )
+    graph = _graph(
+        graph_edges,
+        np.concatenate((measured, freedom.group.inverse(nodes[added[:, 0]]) @ nodes[added[:, 1]])),
+        np.concatenate((shared, shared_points(added, world))),
+        keyframes,
+        nodes,
+        freedom,
+        world,
     )
-    poses[keyframes] = optimized.T_world_node
+    freedom.place(keyframes, optimize(graph).T_world_node, before, world)
+    rescale_culled(before, world)
     world.loop_edges.append((loop.candidate, loop.keyframe))
     alive = np.flatnonzero(world.points.is_alive)
-    follow_keyframes(alive, T_world_old, world)
+    follow_keyframes(alive, before, world)
     world.refresh_geometry(alive)
-    T_old_new = se3.inverse(T_world_old[loop.keyframe]) @ loop.T_world_cam
-    around = np.intersect1d([*place, *group], keyframes)
+    T_old_new = se3.inverse(before.T_world_cam[loop.keyframe]) @ loop.T_world_cam
+    unit = freedom.unit(loop.candidate, world)
     return Correction(
-        T_world_old, keyframes, around, float(np.linalg.norm(T_old_new[:3, 3])), float(se3.angle_rad(T_old_new))
+        keyframes=keyframes,
+        around=np.intersect1d([*place, *group], keyframes),
+        moved_m=float(np.linalg.norm(T_old_new[:3, 3])) / unit,
+        turned_rad=float(se3.angle_rad(T_old_new)),
+        rescaled=float(np.log(loop.scale)),
     )
 
 
@@ -240,14 +197,16 @@ def connected_to(keyframe: int, edges: I64, world: Map) -> I64:
     return np.flatnonzero((part == part[keyframe]) & world.keyframes.is_alive)
 
 
-def _graph(edges: I64, measured: F64, shared: F64, keyframes: I64, poses: F64) -> PoseGraph:
+def _graph(
+    edges: I64, measured: F64, shared: F64, keyframes: I64, nodes: F64, freedom: Freedom, world: Map
+) -> PoseGraph:
     """Return the pose graph of some keyframes (N,); the oldest of them is fixed."""
-    node = np.full(len(poses), -1, dtype=np.int64)
+    node = np.full(len(nodes), -1, dtype=np.int64)
     node[keyframes] = np.arange(len(keyframes))
     used = (node[edges] >= 0).all(axis=1)
     is_fixed = np.zeros(len(keyframes), dtype=np.bool_)
     is_fixed[0] = True
-    variance = np.repeat((SIGMA_M**2, SIGMA_RAD**2), 3)
-    information = np.maximum(shared[used], LEAST_SHARED)[:, None] / TYPICAL_SHARED / variance
+    relative = np.maximum(shared[used], LEAST_SHARED) / TYPICAL_SHARED
+    information = freedom.information(relative, edges[used, 1], world)
     first, second = node[edges[used]].T
-    return PoseGraph(poses[keyframes], is_fixed, first, second, measured[used], information)
+    return PoseGraph(nodes[keyframes], is_fixed, first, second, measured[used], information, freedom.group)

@@ -8,7 +8,8 @@ from stillroom.data.map import Map
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import I64
 from stillroom.geometry.camera import Camera
-from stillroom.loops.correction import carry_newer, follow_keyframes
+from stillroom.loops.freedom import freedom_of
+from stillroom.loops.moves import Places, carry_newer, follow_keyframes
 from stillroom.optimize import observations
 from stillroom.optimize.bundle import BundleAdjuster, BundleProblem, BundleResult
 
@@ -62,7 +63,9 @@ class GlobalBundle:
     def commit(self, result: BundleResult, world: Map) -> None:
         """Write the result to the map, and remove outliers."""
         keyframes, points, table = world.keyframes, world.points, world.keypoints
-        before = keyframes.T_world_cam.copy()
+        before = Places.of(world)
+        problem = self._problem
+        result = freedom_of(world).in_gauge(result, np.asarray(problem.points_world_m), problem.is_fixed)
         moved = keyframes.is_alive[self._keyframes] & self._moves
         keyframes.T_world_cam[self._keyframes[moved]] = se3.inverse(result.T_cam_world[moved])
         carry_newer(self._n_known, before, world)

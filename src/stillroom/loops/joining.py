@@ -11,6 +11,7 @@ from stillroom.data.map import Map, submaps
 from stillroom.features.places.place_index import PlaceMemory
 from stillroom.geometry import se3
 from stillroom.loops.correction import fuse_group
+from stillroom.loops.freedom import freedom_of
 from stillroom.loops.global_bundle import GlobalBundle
 from stillroom.loops.verdict import LinkChange, Snapshot, judge
 from stillroom.loops.verification import Loop, VerificationConfig
@@ -135,9 +136,10 @@ def lay_together(place: Loop, world: Map) -> int:
     """Align the younger of two sub-maps with the older one by a place that both show; return the older one's id."""
     table = world.keyframes
     own, other = int(table.submap[place.keyframe]), int(table.submap[place.candidate])
-    T_other_own = place.T_world_cam @ se3.inverse(table.T_world_cam[place.keyframe])
+    T_other_own = place.correction(world)
     if other < own:
-        submaps.join(own, other, T_other_own, place.candidate, world)
+        submaps.join(own, other, T_other_own, place.scale, place.candidate, world)
     else:
-        submaps.join(other, own, se3.inverse(T_other_own), place.keyframe, world)
+        T_own_other = freedom_of(world).group.inverse(T_other_own)
+        submaps.join(other, own, T_own_other, 1.0 / place.scale, place.keyframe, world)
     return min(own, other)

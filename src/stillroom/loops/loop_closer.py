@@ -1,6 +1,7 @@
 """Loop closing: detect, verify, correct, and undo wrong loops (ORB-SLAM2's third thread)."""
 
 import logging
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
@@ -11,8 +12,10 @@ from stillroom.bounds import bounded, check
 from stillroom.features.places.place_index import PlaceMemory
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64
+from stillroom.geometry.groups import SIMILAR
 from stillroom.loops.correction import Correction, close_loop, essential_edges, paths_from
 from stillroom.loops.detection import DetectionConfig
+from stillroom.loops.freedom import freedom_of
 from stillroom.loops.global_bundle import GlobalBundle
 from stillroom.loops.verdict import LinkChange, Snapshot, Verdict, judge
 from stillroom.loops.verification import Loop, VerificationConfig
@@ -21,11 +24,13 @@ from stillroom.optimize.pose_graph import PoseGraphConfig
 from stillroom.protocols import Parts
 
 logger = logging.getLogger(__name__)
+LARGEST_SCALE_DRIFT = 5.0
+"""Of the logarithm: beyond, any position is explained."""
 
 
 @dataclass(frozen=True)
 class LoopsConfig:
-    """Loop closing.
+    """Loop closing. In a map up to scale a metre is half the median depth of what the keyframe sees.
 
     Attributes:
         enabled: Whether loops are closed; OC-SLAM was evaluated without.
@@ -33,10 +38,13 @@ class LoopsConfig:
         drift_m, drift_rad: Drift allowed anywhere.
         drift_m_per_m, drift_rad_per_m: Drift allowed on each metre of the shortest known path between the two visits: a
             similar place that odometry puts further off is refused.
+        drift_scale, drift_scale_per_m: The same for the logarithm of the scale, in a map up to scale; what a drift of
+            scale does to positions is allowed too.
         sight_m, sight_rad: Images further apart than this show different things. Candidates that the allowed drift
             cannot explain are not verified.
-        full_beyond_m, full_beyond_rad: A loop with a larger error than this is followed by bundle adjustment of all
-            keyframes; else of those that show the place, at a cost independent of the size of the map.
+        full_beyond_m, full_beyond_rad, full_beyond_scale: A loop with a larger error than this is followed by bundle
+            adjustment of all keyframes; else of those that show the place, at a cost independent of the size of the
+            map.
         essential_weight: Shared points from which on two keyframes are connected in the essential graph.
         max_lost_share: Largest share of the map's observations that may become outliers; beyond, the loop is undone.
         max_lost_share_of_one: The same for the worst keyframe.
@@ -53,10 +61,13 @@ class LoopsConfig:
     drift_rad: float = 0.2
     drift_m_per_m: float = 0.1
     drift_rad_per_m: float = 0.03
+    drift_scale: float = 0.1
+    drift_scale_per_m: float = 0.02
     sight_m: float = 3.0
     sight_rad: float = 1.2
     full_beyond_m: float = 0.05
     full_beyond_rad: float = 0.02
+    full_beyond_scale: float = 0.02
     essential_weight: int = 100
     max_lost_share: float = bounded(0.05, least=0, most=1)
     max_lost_share_of_one: float = bounded(0.4, least=0, most=1)
@@ -114,6 +125,7 @@ class LoopCloser:
         self._detector = config.detection.build(parts, places)
         self._verifier = config.verification.build(parts)
         self._optimize, self._adjust = config.graph.build(), config.bundle.build()
+        self._freedom = freedom_of(parts.world)
         self._after = tuple(after)
 
     def close(self, keyframe: int) -> bool:
@@ -137,16 +149,20 @@ class LoopCloser:
         """Return whether the allowed drift explains the loop."""
         T_is_should = se3.inverse(self.world.keyframes.T_world_cam[loop.keyframe]) @ loop.T_world_cam
         edges = essential_edges(self.world, self.world.covisibility.min_weight)
-        way_m = float(paths_from(loop.keyframe, edges, self.world)[loop.candidate])
-        plausible = self._may_be_off(T_is_should, way_m)
+        unit = self._freedom.unit(loop.keyframe, self.world)
+        way_m = float(paths_from(loop.keyframe, edges, self.world, unit)[loop.candidate])
+        T_is_should[:3, 3] /= unit
+        scaled = abs(math.log(loop.scale))
+        plausible = scaled <= self._scale_drift(way_m) and self._may_be_off(T_is_should, way_m, scaled)
         logger.info(
-            "keyframe %d looks like %d: %d of %d points, off by %.3f m and %.3f rad after %.1f m: %s",
+            "keyframe %d looks like %d: %d of %d points, off by %.3f m, %.3f rad and × %.3f after %.1f m: %s",
             loop.keyframe,
             loop.candidate,
             len(loop.rows),
             loop.n_visible,
             float(np.linalg.norm(T_is_should[:3, 3])),
             float(se3.angle_rad(T_is_should)),
+            loop.scale,
             way_m,
             "plausible" if plausible else "refused",
         )
@@ -157,16 +173,31 @@ class LoopCloser:
         if not candidates:
             return []
         poses, config = self.world.keyframes.T_world_cam, self.config
-        ways_m = paths_from(keyframe, essential_edges(self.world, None), self.world)
+        unit = self._freedom.unit(keyframe, self.world)
+        ways_m = paths_from(keyframe, essential_edges(self.world, None), self.world, unit)
         between = se3.inverse(poses[keyframe]) @ poses[np.array(candidates)]
-        chosen = zip(candidates, between, strict=True)
-        return [k for k, T in chosen if self._may_be_off(T, float(ways_m[k]), config.sight_m, config.sight_rad)]
+        between[:, :3, 3] /= unit
+        margin = config.sight_m, config.sight_rad
+        return [
+            k
+            for k, T, way_m in zip(candidates, between, ways_m[candidates].tolist(), strict=True)
+            if self._may_be_off(T, way_m, self._scale_drift(way_m), *margin)
+        ]
 
-    def _may_be_off(self, T_is_should: F64, way_m: float, more_m: float = 0.0, more_rad: float = 0.0) -> bool:
-        """Return whether drift along a path, and a margin, explains a motion (4, 4)."""
+    def _scale_drift(self, way_m: float) -> float:
+        """Return how much the logarithm of the scale may have drifted along a path; 0 in a metric map."""
+        if self._freedom.group is not SIMILAR:
+            return 0.0
+        return self.config.drift_scale + self.config.drift_scale_per_m * way_m
+
+    def _may_be_off(
+        self, T_is_should: F64, way_m: float, scaled: float, more_m: float = 0.0, more_rad: float = 0.0
+    ) -> bool:
+        """Return whether drift along a path, of which `scaled` of the scale, and a margin, explain a motion (4, 4)."""
         config = self.config
         off_m, off_rad = float(np.linalg.norm(T_is_should[:3, 3])), float(se3.angle_rad(T_is_should))
-        near = off_m <= config.drift_m + config.drift_m_per_m * way_m + more_m
+        drift_m_per_m = config.drift_m_per_m + math.expm1(min(scaled, LARGEST_SCALE_DRIFT))
+        near = off_m <= config.drift_m + drift_m_per_m * way_m + more_m
         return near and off_rad <= config.drift_rad + config.drift_rad_per_m * way_m + more_rad
 
     def correct(self, loop: Loop) -> bool:
@@ -205,7 +236,8 @@ class LoopCloser:
 
     def _bundle_after(self, correction: Correction) -> GlobalBundle:
         config = self.config
-        if correction.moved_m > config.full_beyond_m or correction.turned_rad > config.full_beyond_rad:
+        moved = correction.moved_m > config.full_beyond_m or correction.turned_rad > config.full_beyond_rad
+        if moved or abs(correction.rescaled) > config.full_beyond_scale:
             return GlobalBundle(correction.keyframes, self.world)
         return GlobalBundle(correction.around, self.world, in_place=True)
 

@@ -10,7 +10,7 @@ from stillroom.data.map import Map
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64, I64, Bool, Ints
 from stillroom.geometry.camera import Camera
-from stillroom.loops.correction import apply_motions, carry_newer
+from stillroom.loops.moves import Places, apply_motions, carry_newer
 
 _LINKS = ("point", "next_row")
 _TO_WRITE = "is_unsaved"
@@ -39,6 +39,11 @@ class Snapshot:
         return self._keyframes["T_world_cam"]
 
     @property
+    def places(self) -> Places:
+        """Where the keyframes are in the snapshot."""
+        return Places(self._keyframes["T_world_cam"], self._keyframes["scale"])
+
+    @property
     def seen(self) -> tuple[I64, I64, F64]:
         """In the snapshot: rows with a point (O,), the point of each (O,), and positions of all points (P, 3) [m]."""
         rows = np.flatnonzero(self._links["point"] >= 0)
@@ -51,7 +56,7 @@ class Snapshot:
         is_new = (table.point >= n_points) | ((np.arange(len(table)) >= n_rows) & (table.point >= 0))
         rows = np.flatnonzero(is_new)
         seen = table.point[rows].copy()
-        T_world_wrong = keyframes.T_world_cam.copy()
+        wrong = Places.of(world)
         for view, old in ((keyframes.views, self._keyframes), (points.views, self._points), (table.views, self._links)):
             for name, values in old.items():
                 view[name][: len(values)] = values
@@ -63,16 +68,15 @@ class Snapshot:
         world.observe(seen, rows)
         world.covisibility.restore(self._edges)
         world.loop_edges[:] = self._loop_edges
-        self._carry_along(n_keyframes, n_points, T_world_wrong, world)
+        self._carry_along(n_keyframes, n_points, wrong, world)
 
-    def _carry_along(self, n_keyframes: int, n_points: int, T_world_wrong: F64, world: Map) -> None:
+    def _carry_along(self, n_keyframes: int, n_points: int, wrong: Places, world: Map) -> None:
         """Move keyframes and points that were added since with their parents."""
-        carry_newer(n_keyframes, T_world_wrong, world)
+        carry_newer(n_keyframes, wrong, world)
         for keyframe in range(n_keyframes, len(world.keyframes)):
             world.connect(keyframe)
         new = np.arange(n_points, len(world.points))
-        T_right_wrong = world.keyframes.T_world_cam @ se3.inverse(T_world_wrong)
-        apply_motions(new, T_right_wrong[world.points.first_keyframe[new]], world)
+        apply_motions(new, wrong.motions(world)[world.points.first_keyframe[new]], world)
         world.refresh_geometry(new[world.points.is_alive[new]])
 
 

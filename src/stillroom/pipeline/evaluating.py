@@ -2,13 +2,14 @@
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from stillroom.data.trajectory import Trajectory, read_tum
 from stillroom.errors import StillroomError, TrajectoryError
 from stillroom.evaluation.report import Evaluation, evaluate
 from stillroom.evaluation.time_matching import TimeMatching
+from stillroom.evaluation.trajectory_errors import Alignment
 from stillroom.pipeline import results
 from stillroom.pipeline.ornaments import ending_nothing
 from stillroom.pipeline.plots import draw_plots
@@ -65,6 +66,7 @@ def evaluate_folder(
     write: bool = True,
     matching: TimeMatching | None = None,
     formats: Sequence[str] = (),
+    alignment: Alignment | None = None,
 ) -> EvaluatedTrajectory:
     """Evaluate the run of a results folder again; its metrics.json, pictures and report are made again.
 
@@ -74,15 +76,16 @@ def evaluate_folder(
         write: Whether to write anything.
         matching: How poses find those of the ground truth in time.
         formats: In which plots are drawn beside PNG: "svg", "pdf".
+        alignment: By what trajectories are aligned; by what suits each, where not given.
 
     Raises:
         StillroomError: A folder is not a results folder.
         TrajectoryError: There is no ground truth, or nothing can be compared.
     """
-    folder, trajectory, truth, evaluation = _measured(path, matching)
+    folder, trajectory, truth, evaluation = _measured(path, matching, alignment)
     trajectories = {folder.name: trajectory}
     if baseline is not None:
-        other, other_trajectory, _, other_evaluation = _measured(baseline, matching)
+        other, other_trajectory, _, other_evaluation = _measured(baseline, matching, alignment)
         evaluation = evaluation.against(other_evaluation, other.name)
         trajectories[other.name] = other_trajectory
     if not write:
@@ -104,6 +107,7 @@ def evaluate_files(
     baseline: Path | None = None,
     matching: TimeMatching | None = None,
     formats: Sequence[str] = (),
+    alignment: Alignment | None = None,
 ) -> EvaluatedTrajectory:
     """Evaluate a trajectory of any system.
 
@@ -114,15 +118,17 @@ def evaluate_files(
         baseline: Another such file, to compare it with.
         matching: How poses find those of the ground truth in time.
         formats: In which plots are drawn beside PNG: "svg", "pdf".
+        alignment: By what trajectories are aligned; where not given by SE(3), and those that a comment in their file
+            calls up to scale by Sim(3).
 
     Raises:
         TrajectoryError: A file cannot be read, or nothing can be compared.
     """
-    own = read_tum(estimate)
+    own = _read(estimate, alignment)
     evaluation = evaluate(own, truth.as_given, groundtruth_camera=truth.at_camera, matching=matching)
     trajectories = {estimate.stem: own}
     if baseline is not None:
-        other = read_tum(baseline)
+        other = _read(baseline, alignment)
         figures = evaluate(other, truth.as_given, groundtruth_camera=truth.at_camera, matching=matching)
         evaluation = evaluation.against(figures, str(baseline))
         trajectories[str(baseline)] = other
@@ -133,11 +139,27 @@ def evaluate_files(
     return EvaluatedTrajectory(estimate.stem, folder, evaluation, pictures)
 
 
-def _measured(path: Path, matching: TimeMatching | None) -> tuple[Path, Trajectory, results.Truth, Evaluation]:
+def _read(path: Path, alignment: Alignment | None) -> Trajectory:
+    """Read a trajectory; its alignment may be asked for.
+
+    Raises:
+        TrajectoryError: It cannot be read.
+    """
+    trajectory = read_tum(path)
+    if alignment is None:
+        return trajectory
+    if alignment is Alignment.SE3 and not trajectory.is_metric:
+        log.warning("%s is up to scale; its errors after SE(3) alignment say nothing but how far its unit is off", path)
+    return replace(trajectory, is_metric=alignment is Alignment.SE3)
+
+
+def _measured(
+    path: Path, matching: TimeMatching | None, alignment: Alignment | None
+) -> tuple[Path, Trajectory, results.Truth, Evaluation]:
     folder = results_folder(path)
     if not (folder / results.FINAL).is_file():
         raise StillroomError(f"{folder}: no {results.FINAL} in it; is it the folder of a run?")
-    trajectory, truth = read_tum(folder / results.FINAL), results.Truth.read(folder)
+    trajectory, truth = _read(folder / results.FINAL, alignment), results.Truth.read(folder)
     if truth is None:
         raise TrajectoryError(
             f"{folder}: the sequence has no ground truth, or none that could be read, so there is nothing to "

@@ -67,7 +67,7 @@ class LiveFigures:
             MEDIAN: None if np.isnan(median) else median,
             P95: None if np.isnan(p95) else p95,
             "wall_s": self.wall_s,
-            "ate_online_m": None if self.online is None else self.online.as_given.ate_se3_m.rmse,
+            "ate_online_m": None if self.online is None else self.online.as_given.ate_m.rmse,
             "n_images_seen_by_network": self.n_seen,
             "workers": {
                 worker.value: {

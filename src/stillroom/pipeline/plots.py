@@ -9,7 +9,7 @@ from stillroom.data.dense_cloud import DenseCloud
 from stillroom.data.map import submaps
 from stillroom.data.trajectory import Trajectory
 from stillroom.evaluation.time_matching import TimeMatching
-from stillroom.evaluation.trajectory_errors import ate
+from stillroom.evaluation.trajectory_errors import AbsoluteError, Alignment, ate
 from stillroom.pipeline.ornaments import Ornaments
 from stillroom.system import System
 from stillroom.viz.cloud.render import CloudRendererConfig
@@ -53,6 +53,7 @@ def draw_plots(
         name: ate(*matching.match(estimate, groundtruth), matching.max_gap_s) for name, estimate in estimates.items()
     }
     judged = next(iter(compared.values()))
+    title += said_scales(compared)
     aligned = {name: error.aligned for name, error in compared.items()}
     errors = {name: (error.groundtruth.timestamps_s, error.errors_m) for name, error in compared.items()}
     drawn: list[Path] = []
@@ -69,6 +70,17 @@ def draw_plots(
             plot_error(path, errors, judged.still_camera_m, title)
             drawn.append(path)
     return tuple(drawn)
+
+
+def said_scales(compared: Mapping[str, AbsoluteError]) -> str:
+    """Return what a title adds where trajectories are up to scale: that they are aligned by Sim(3), and the scales."""
+    scaled = {name: error for name, error in compared.items() if error.alignment is Alignment.SIM3}
+    if not scaled:
+        return ""
+    if len(compared) == 1:
+        return f" – up to scale, aligned by Sim(3): × {next(iter(scaled.values())).scale:.4g}"
+    scales = ", ".join(f"{name} × {error.scale:.4g}" for name, error in scaled.items())
+    return f" – up to scale, aligned by Sim(3): {scales}"
 
 
 def as_formats(path: Path, formats: Sequence[str]) -> list[Path]:

@@ -2,7 +2,8 @@
 
 =======================  =========================================================================
 config.toml              the effective config; in `[run]`, which configures nothing, how it came about
-trajectory.tum           final poses: each frame on its reference keyframe's corrected pose
+trajectory.tum           final poses: each frame on its reference keyframe's corrected pose; here and below, a comment
+                         says where they are up to scale
 trajectory_online.tum    poses as they were known when the frame was tracked
 trajectory_lag5.tum      poses as settled five frames later, of methods whose trajectory has a prior
 keyframes.tum            keyframes of the map
@@ -356,6 +357,7 @@ def run_figures(outcome: RunOutcome) -> dict[str, Any]:
         "n_frames_not_shown": outcome.ornaments.n_not_shown,
         "n_in_unjoined_submaps": outcome.n_apart,
         "n_submaps": len(submaps.unjoined(world)),
+        "scale": "metric" if world.sensor.is_metric else "unknown",
         "n_keyframes": len(world.alive_keyframes()),
         "n_points": int(world.points.is_alive.sum()),
         "keypoints_mean": _mean([r.n_keypoints for r in tracked]),

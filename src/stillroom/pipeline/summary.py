@@ -45,6 +45,8 @@ def sentences(figures: Mapping[str, Any], n_given: int | None, has_segmenter: bo
     n_bad = figures["n_unreadable"]
     if n_bad:
         said.append(f"not tracked, as they could not be read: {'1 image' if n_bad == 1 else f'{n_bad} images'}")
+    if figures.get("scale") == "unknown":
+        said.append("one camera knows no scale: trajectory and map are in a unit of their own")
     text = f"map: {figures['n_keyframes']} keyframes, {figures['n_points']} points"
     cost = figures["frame_ms"]
     if cost is not None:

@@ -1,5 +1,6 @@
 """Functions of `import stillroom`: cameras by name, evaluation, methods, and map files."""
 
+from dataclasses import replace
 from pathlib import Path
 
 from stillroom.data.trajectory import Trajectory, read_tum
@@ -24,17 +25,23 @@ def camera(name_or_file: str | Path) -> Camera:
     return camera_of(str(name_or_file))[0]
 
 
-def evaluate(estimate: Trajectory | str | Path, truth: Dataset | Trajectory | str | Path) -> Evaluation:
+def evaluate(
+    estimate: Trajectory | str | Path, truth: Dataset | Trajectory | str | Path, up_to_scale: bool = False
+) -> Evaluation:
     """Measure a trajectory against ground truth: ATE, RPE and coverage.
 
     Args:
-        estimate: Poses `T_world_cam`, or a file of them in the TUM format.
+        estimate: Poses `T_world_cam`, or a file of them in the TUM format. One that is up to scale, as a monocular run
+            gives it, is aligned by Sim(3).
         truth: The sequence that the images came from, true poses of the camera, or a file of them.
+        up_to_scale: Treat the estimate as up to scale although it does not say so, as a file of another system.
 
     Raises:
         TrajectoryError: A file cannot be read, the sequence has no ground truth, or nothing can be compared.
     """
     estimated = estimate if isinstance(estimate, Trajectory) else read_tum(Path(estimate))
+    if up_to_scale:
+        estimated = replace(estimated, is_metric=False)
     if isinstance(truth, str | Path):
         truth = read_tum(Path(truth))
     if isinstance(truth, Trajectory):

@@ -203,17 +203,17 @@ def doubts_of_figures(evaluation: Evaluation) -> Iterator[Doubt]:
     found = evaluation.as_given
     if found.still_camera_m < MOVED_M:
         return
-    explained = found.ate_sim3_m.rmse < EXPLAINED * found.ate_se3_m.rmse
+    explained = found.ate_sim3_m.rmse < EXPLAINED * found.ate_m.rmse  # never, of what is up to scale
     if explained and not 1.0 / SCALE < found.scale < SCALE:
         yield Doubt(
             "scale",
             f"the trajectory fits the ground truth best when it is scaled by {found.scale:.2f}; the depth factor or "
             "the focal length is probably wrong",
         )
-    if found.ate_se3_m.rmse > found.still_camera_m:
+    if found.ate_m.rmse > found.still_camera_m:
         yield Doubt(
             "worse-than-static",
-            f"ATE {found.ate_se3_m.rmse:.3f} m is worse than that of a camera that never moves "
+            f"ATE {found.ate_m.rmse:.3f} m is worse than that of a camera that never moves "
             f"({found.still_camera_m:.3f} m); check calibration, depth factor, the times of images and truth, and "
             "whether what moves was taken for static",
         )

@@ -2,7 +2,7 @@
 
 import sqlite3
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from stillroom.data.map import Map
 from stillroom.geometry.arrays import F64, I32, I64, Bool
-from stillroom.storage.schema import KEYPOINTS, OBSERVATIONS, POINT_IDS, POINTS, POINTS_A_BLOCK, POSES
+from stillroom.storage.schema import KEYPOINTS, OBSERVATIONS, POINT_IDS, POINTS, POINTS_A_BLOCK, POSES, FrameNote
 
 
 class Changes:
@@ -20,6 +20,9 @@ class Changes:
     The map marks points and keyframes whose links changed (`is_unsaved`); poses, which are few, are compared. Counts of
     how often a point was visible and found change with every frame and are not marked: they are written along with a
     point's other changes.
+
+    In the file poses that are noted in keyframes are in lengths as they are now: `KeyframeTable.scale` is 1 there, and
+    where a map up to scale was corrected the notes are written again.
     """
 
     def __init__(self, world: Map) -> None:
@@ -53,6 +56,30 @@ class Changes:
         """Take what `write` wrote last as written for good."""
         self._known = self._present
         self._loops = self._present_loops
+
+    def as_stored(self, frames: Iterable[FrameNote]) -> list[FrameNote]:
+        """Return notes of frames in lengths as `write` found them last."""
+        scale = self._present.scale
+        if (scale == 1.0).all():
+            return list(frames)
+        return [
+            replace(note, T_reference_cam=_grown(note.T_reference_cam, scale[note.reference_keyframe]))
+            for note in frames
+        ]
+
+    def rescale_frames(self, database: sqlite3.Connection) -> None:
+        """Write the frames of earlier commits again whose keyframes have another scale than then."""
+        n = len(self._known)
+        growth = self._present.scale[:n] / self._known.scale
+        if (growth == 1.0).all():
+            return
+        rows = database.execute("SELECT session, image_index, reference_keyframe, T_reference_cam FROM frames")
+        grown = [
+            (POSES.pack(_grown(POSES.unpack(pose, 1, "the pose of a frame")[0], growth[k])), session, index)
+            for session, index, k, pose in rows
+            if k < n and growth[k] != 1.0
+        ]
+        database.executemany("UPDATE frames SET T_reference_cam = ? WHERE session = ? AND image_index = ?", grown)
 
     def write(self, database: "Statements") -> None:
         """Write the changes, with the map's lock held; `committed` or `write_again` must follow."""
@@ -163,13 +190,16 @@ class _Poses:
     parent: I32
     T_world_cam: F64
     T_parent_cam: F64
+    scale: F64
 
     @classmethod
     def of(cls, world: Map, n: int) -> "_Poses":
         """Copy those of the first `n` keyframes."""
         table = world.keyframes
         submap, is_alive, parent = table.submap[:n].copy(), table.is_alive[:n].copy(), table.parent[:n].copy()
-        return cls(submap, is_alive, parent, table.T_world_cam[:n].copy(), table.T_parent_cam[:n].copy())
+        T_parent_cam, scale = table.T_parent_cam[:n].copy(), table.scale[:n].copy()
+        T_parent_cam[:, :3, 3] *= np.where(parent >= 0, table.scale[parent], 1.0)[:, None]
+        return cls(submap, is_alive, parent, table.T_world_cam[:n].copy(), T_parent_cam, scale)
 
     def __len__(self) -> int:
         return len(self.parent)
@@ -187,6 +217,12 @@ class _Poses:
         for now, before in ((self.T_world_cam, earlier.T_world_cam), (self.T_parent_cam, earlier.T_parent_cam)):
             changed |= np.any(now[:n] != before, axis=(1, 2))
         return [int(k) for k in np.flatnonzero(changed)]
+
+
+def _grown(T: F64, growth: float) -> F64:
+    grown = T.copy()
+    grown[:3, 3] *= growth
+    return grown
 
 
 def _taken(is_unsaved: Bool) -> I64:

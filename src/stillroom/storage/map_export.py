@@ -201,8 +201,9 @@ def trajectories(stored: StoredMap) -> list[Trajectory]:
         frames = [f for f in stored.frames if f.session == number]
         frames = [f for f in frames if world.keyframes.submap[f.reference_keyframe] == main]
         frames.sort(key=lambda frame: frame.timestamp_s)
-        poses = [world.keyframe_pose(frame.reference_keyframe) @ frame.T_reference_cam for frame in frames]
-        found.append(_trajectory([frame.timestamp_s for frame in frames], poses))
+        poses = [world.placed_by(frame.reference_keyframe, frame.T_reference_cam) for frame in frames]
+        times_s = np.array([frame.timestamp_s for frame in frames], dtype=np.float64)
+        found.append(_trajectory(times_s, np.array(poses, dtype=np.float64).reshape(-1, 4, 4), world))
     return found
 
 
@@ -216,7 +217,7 @@ def keyframe_trajectories(stored: StoredMap) -> list[Trajectory]:
     for first, end in zip(edges, [*edges[1:], len(world.keyframes)], strict=True):
         own = alive[(alive >= first) & (alive < end)]
         own = own[np.argsort(world.keyframes.timestamp_s[own], kind="stable")]
-        found.append(Trajectory(world.keyframes.timestamp_s[own], world.keyframes.T_world_cam[own]))
+        found.append(_trajectory(world.keyframes.timestamp_s[own], world.keyframes.T_world_cam[own], world))
     return found
 
 
@@ -236,5 +237,5 @@ def write_trajectories(stored: StoredMap, folder: Path) -> list[tuple[Path, int]
     return written
 
 
-def _trajectory(timestamps_s: list[float], poses: list[np.ndarray]) -> Trajectory:
-    return Trajectory(np.array(timestamps_s, dtype=np.float64), np.array(poses, dtype=np.float64).reshape(-1, 4, 4))
+def _trajectory(timestamps_s: F64, T_world_cam: F64, world: Map) -> Trajectory:
+    return Trajectory(timestamps_s, T_world_cam, world.sensor.is_metric)

@@ -142,7 +142,7 @@ class FrameNote:
         image_index: Number of the image in its sequence.
         timestamp_s: Its time [s].
         reference_keyframe: Id of its reference keyframe.
-        T_reference_cam: Its pose in that keyframe (4, 4).
+        T_reference_cam: Its pose in that keyframe (4, 4), as `Map.noted_in` notes it.
     """
 
     session: int

@@ -90,7 +90,8 @@ class MapWriter:
         try:
             with self._transaction() as database:
                 statements.execute_on(database)
-                insert(database, "frames", map(_row, frames))
+                self._changes.rescale_frames(database)
+                insert(database, "frames", map(_row, self._changes.as_stored(frames)))
                 if pictures is not None:
                     insert(database, "images", [astuple(pictures)])
         except BaseException:

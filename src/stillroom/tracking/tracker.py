@@ -324,7 +324,7 @@ class Tracker:
             self._velocity.update(T_world_last, tracked.T_world_cam)
         self._frames_since_recovery = 0 if tracked.recovered else self._frames_since_recovery + 1
         self._last = tracked
-        self._T_reference_last = se3.inverse(world.keyframe_pose(tracked.reference_keyframe)) @ tracked.T_world_cam
+        self._T_reference_last = world.noted_in(tracked.reference_keyframe, tracked.T_world_cam)
 
     @property
     def rows(self) -> RowsFound | None:
@@ -353,8 +353,7 @@ class Tracker:
     def _last_pose_as_known_now(self, world: Map) -> F64 | None:
         if self._last is None or self._T_reference_last is None:
             return None
-        T_world_last: F64 = world.keyframe_pose(self._last.reference_keyframe) @ self._T_reference_last
-        return T_world_last
+        return world.placed_by(self._last.reference_keyframe, self._T_reference_last)
 
     def _in_time(self, frame: Frame, guess: F64, world: Map) -> Frame:
         """Return a frame with its keypoints where, and at the depth that, they are expected to have at mid-frame."""

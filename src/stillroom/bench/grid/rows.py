@@ -14,6 +14,7 @@ from stillroom.bench.grid.axes import PlannedRun
 from stillroom.bench.trial import Trial
 from stillroom.data.replacing import cannot_be_written, replace_text
 from stillroom.errors import ConfigError, StillroomError
+from stillroom.evaluation.trajectory_errors import Alignment
 
 ROWS, TABLE = "rows.jsonl", "rows.csv"
 COST = "cost"
@@ -43,13 +44,14 @@ class Row:
     Attributes:
         sequence, frames, method, setting, seed: Which run; `setting` is what is varied.
         n_given, n_tracked, n_keyframes: Frames recorded, frames with a pose, and keyframes made.
-        ate_m, ate_camera_m: ATE RMSE after SE(3) alignment [m], ground truth as given, and moved to the camera where
-            the given one is of another body; None without ground truth.
+        ate_m, ate_camera_m: ATE RMSE after `alignment` [m], ground truth as given, and moved to the camera where the
+            given one is of another body; None without ground truth.
         rpe_m_s, rpe_deg_s: RPE RMSE over 1 s [m/s, deg/s].
         error: Why it failed, in one line; "" where it did not.
         digest: Identifies the run; see `PlannedRun`.
         version: The version of Stillroom, and a digest of its sources.
         cost: What it cost.
+        alignment: How the trajectory was aligned for its errors: by Sim(3) where it is up to scale.
     """
 
     sequence: str
@@ -68,6 +70,7 @@ class Row:
     digest: str
     version: str
     cost: Cost
+    alignment: str = Alignment.SE3
 
     @staticmethod
     def of(run: PlannedRun, trial: Trial, cost: Cost) -> "Row":
@@ -79,11 +82,12 @@ class Row:
             "n_tracked": trial.n_tracked,
             "n_keyframes": trial.n_keyframes,
             "ate_m": trial.ate_m,
-            "ate_camera_m": None if at_camera is None else at_camera.ate_se3_m.rmse,
+            "ate_camera_m": None if at_camera is None else at_camera.ate_m.rmse,
             "rpe_m_s": rpe_m_s,
             "rpe_deg_s": rpe_deg_s,
         }
-        return _row(run, figures, "", cost)
+        by = Alignment.SE3 if trial.evaluation is None else trial.evaluation.alignment
+        return replace(_row(run, figures, "", cost), alignment=by)
 
     @staticmethod
     def failed(run: PlannedRun, why: str, cost: Cost) -> "Row":

@@ -9,7 +9,7 @@ from stillroom.bench.accuracy import NONE
 from stillroom.bench.grid.axes import PlannedRun
 from stillroom.bench.grid.rows import Row
 from stillroom.evaluation.report import percent
-from stillroom.evaluation.trajectory_errors import Spread
+from stillroom.evaluation.trajectory_errors import Alignment, Spread
 
 HEADER = ("method", "setting", "runs", "ATE median", "min", "max", "tracked", "ms a frame")
 """Names of the columns of `Summary.row`; ATE in m, milliseconds of CPU."""
@@ -38,7 +38,7 @@ class Summary:
 
     @property
     def ate_m(self) -> Spread | None:
-        """ATE RMSE, SE(3), ground truth as given [m]; None where a run that did not fail has none."""
+        """ATE RMSE, ground truth as given [m]; None where a run that did not fail has none."""
         figures = [row.ate_m for row in self.sound]
         known = [figure for figure in figures if figure is not None]
         return Spread.of(known) if known and len(known) == len(figures) else None
@@ -73,9 +73,10 @@ def summaries(runs: Iterable[PlannedRun], rows: Iterable[Row]) -> list[Summary]:
 
 def sentences(rows: Sequence[Row]) -> list[str]:
     """Return notes on how to read the tables, and on the runs that failed."""
+    aligned = " or ".join(dict.fromkeys(row.alignment for row in rows)) or Alignment.SE3
     lines = [
-        "ATE: RMSE [m] after SE(3) alignment, ground truth as given; tracked: the worst run's share of the frames; "
-        "ms a frame: CPU time, network and mapping included, without the dense map, median of the runs' means; "
+        f"ATE: RMSE [m] after {aligned} alignment, ground truth as given; tracked: the worst run's share of the "
+        "frames; ms a frame: CPU time, network and mapping included, without the dense map, median of the runs' means; "
         "runs that failed count in none of these"
     ]
     failed = [row for row in rows if row.error]

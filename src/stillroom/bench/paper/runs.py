@@ -90,7 +90,7 @@ def errors_of(accuracy: Accuracy) -> tuple[Spread, Spread, Spread] | None:
     for trial in accuracy.trials:
         if trial.evaluation is None:
             return None
-        found.append(trial.evaluation.as_given.ate_se3_m)
+        found.append(trial.evaluation.as_given.ate_m)
     rmse, mean, median = (Spread.of([getattr(one, name) for one in found]) for name in ("rmse", "mean", "median"))
     return rmse, mean, median
 

@@ -153,7 +153,7 @@ class Map:
         covisibility: Which keyframes see the same points.
         lock: Held while a thread reads or changes the map, where others may too.
         jumps: Motions (4, 4) of the world's coordinates around the newest keyframe, each from one correction
-            of the map; see `jumps.JumpFollower`.
+            of the map; see `jumps.JumpFollower`. They are rigid, also where the scale of the map was corrected.
         loop_edges: Keyframes that closed loops: the one that knew the place, the one that came back.
     """
 
@@ -270,9 +270,7 @@ class Map:
         """Cull a keyframe: its observations are removed; frames that refer to it keep a pose by its parent, if any."""
         parent = int(self.keyframes.parent[keyframe])
         if parent >= 0:
-            T_world_parent = self.keyframe_pose(parent)
-            T_world_cam = self.keyframes.T_world_cam[keyframe]
-            self.keyframes.T_parent_cam[keyframe] = se3.inverse(T_world_parent) @ T_world_cam
+            self.keyframes.T_parent_cam[keyframe] = self.noted_in(parent, self.keyframes.T_world_cam[keyframe])
         self.keyframes.is_alive[keyframe] = False
         rows = self.rows(keyframe)
         self.remove_observations(np.arange(rows.start, rows.stop))
@@ -284,9 +282,26 @@ class Map:
         with self.lock:
             # The first of a sub-map that was dropped has no parent.
             while not self.keyframes.is_alive[keyframe] and self.keyframes.parent[keyframe] >= 0:
-                T_kept_cam = self.keyframes.T_parent_cam[keyframe] @ T_kept_cam
+                T_parent_cam = self.keyframes.T_parent_cam[keyframe].copy()
                 keyframe = int(self.keyframes.parent[keyframe])
+                T_parent_cam[:3, 3] *= self.keyframes.scale[keyframe]
+                T_kept_cam = T_parent_cam @ T_kept_cam
             pose: F64 = self.keyframes.T_world_cam[keyframe] @ T_kept_cam
+        return pose
+
+    def noted_in(self, keyframe: int, T_world_cam: F64) -> F64:
+        """Return a pose (4, 4) relative to a keyframe, to be kept: in lengths as they were when that was added."""
+        with self.lock:
+            T_keyframe_cam = se3.inverse(self.keyframe_pose(keyframe)) @ T_world_cam
+            T_keyframe_cam[:3, 3] /= self.keyframes.scale[keyframe]
+        return T_keyframe_cam
+
+    def placed_by(self, keyframe: int, T_keyframe_cam: F64) -> F64:
+        """Return `T_world_cam` (4, 4), as known now, of a pose that was noted in a keyframe (`noted_in`)."""
+        T_now = T_keyframe_cam.copy()
+        with self.lock:
+            T_now[:3, 3] *= self.keyframes.scale[keyframe]
+            pose: F64 = self.keyframe_pose(keyframe) @ T_now
         return pose
 
     def connect(self, keyframe: int) -> None:

@@ -62,13 +62,14 @@ def of_points(point_ids: Ints, world: Map) -> Ints:
     return submaps
 
 
-def join(moved: int, kept: int, T_kept_moved: F64, parent: int, world: Map) -> None:
-    """Merge a sub-map into another: its keyframes and points move rigidly.
+def join(moved: int, kept: int, T_kept_moved: F64, growth: float, parent: int, world: Map) -> None:
+    """Merge a sub-map into another: its keyframes and points move rigidly, or by a similarity.
 
     Args:
         moved: The sub-map that moves.
         kept: The one that stays where it is.
-        T_kept_moved: Motion (4, 4) of its coordinates.
+        T_kept_moved: Motion (4, 4) of its coordinates; with a scale (`geometry.sim3`) where maps are up to scale.
+        growth: What that multiplies lengths by; 1 for a rigid motion.
         parent: Keyframe of the other that becomes the parent of its first keyframe.
         world: The map.
     """
@@ -78,7 +79,10 @@ def join(moved: int, kept: int, T_kept_moved: F64, parent: int, world: Map) -> N
     ids = np.flatnonzero(points.is_alive)
     ids = ids[of_points(ids, world) == moved]
     alive = members[table.is_alive[members]]
-    table.T_world_cam[alive] = T_kept_moved @ table.T_world_cam[alive]
+    carried = T_kept_moved @ table.T_world_cam[alive]
+    carried[:, :3, :3] /= growth
+    table.T_world_cam[alive] = carried
+    table.scale[members] *= growth
     points.position_m[ids] = se3.transform(T_kept_moved, points.position_m[ids])
     table.submap[members] = kept
     root = members[table.parent[members] < 0]

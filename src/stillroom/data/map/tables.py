@@ -144,6 +144,8 @@ class PointTable(Table):
 class KeyframeTable(Table):
     """Keyframes. A culled one keeps its pose relative to its parent, so that frames that refer to it keep a pose.
 
+    `scale` is what a length around a keyframe has been multiplied by since it was added: only corrections of a map up
+    to scale change it. Poses that are noted in a keyframe (`Map.noted_in`) are in lengths as they were then.
     `submap` is the id of its sub-map (see `submaps`); points belong to the sub-map of their first keyframe.
     `is_unsaved` tells of which keyframes the observations changed since the map was last written to disk.
     """
@@ -156,5 +158,6 @@ class KeyframeTable(Table):
     is_alive = Column(np.bool_, fill=1)
     parent = Column(np.int32, fill=-1)
     T_parent_cam = Column(np.float64, 4, 4)
+    scale = Column(np.float64, fill=1)
     submap = Column(np.int32)
     is_unsaved = Column(np.bool_, fill=1)

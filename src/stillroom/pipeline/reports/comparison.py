@@ -7,7 +7,7 @@ from typing import Any
 
 from stillroom.data.replacing import cannot_be_written
 from stillroom.errors import ConfigError, StillroomError
-from stillroom.evaluation.report import percent
+from stillroom.evaluation.report import percent, said_alignment
 from stillroom.evaluation.time_matching import TimeMatching
 from stillroom.evaluation.trajectory_errors import Spread
 from stillroom.pipeline import results
@@ -71,7 +71,7 @@ class Comparison:
 
 
 def _ate(run: Finished) -> float | None:
-    return None if run.evaluation is None else run.evaluation.as_given.ate_se3_m.rmse
+    return None if run.evaluation is None else run.evaluation.as_given.ate_m.rmse
 
 
 def _drift(run: Finished) -> float | None:
@@ -113,7 +113,7 @@ COLUMNS = (
     Column("keyframes", _of_run("n_keyframes"), "{:.0f}".format),
     Column("map points", _of_run("n_points"), "{:.0f}".format, is_drawn=False),
 )
-"""Errors are RMSEs after SE(3) alignment, ground truth as given; a frame's time is the median, wall time."""
+"""Errors are RMSEs after the run's own alignment, ground truth as given; a frame's time is the median, wall time."""
 
 
 def compare_runs(paths: Sequence[Path], out: Path, formats: Sequence[str] = ()) -> Comparison:
@@ -139,7 +139,8 @@ def compare_runs(paths: Sequence[Path], out: Path, formats: Sequence[str] = ()) 
     ]
     notes = _notes(runs, names, sequences)
     table = sortable_table(header, rows, N_WORDS)
-    how = "ATE and RPE (over 1 s): RMSE, after SE(3) alignment; time of a frame: median. "
+    by = said_alignment(run.evaluation for run in runs)
+    how = f"ATE and RPE (over 1 s): RMSE, after {by} alignment; time of a frame: median. "
     sections = [Section("", [table, paragraphs([how + SORT_NOTE], "note")]), Section("", [paragraphs(notes)])]
     album = Album()
     for sequence, group in groups.items():

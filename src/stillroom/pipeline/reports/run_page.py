@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from stillroom.evaluation.report import lines, percent
+from stillroom.evaluation.trajectory_errors import Alignment
 from stillroom.pipeline import results, summary
 from stillroom.pipeline.reading import unless_missing
 from stillroom.pipeline.reports.blocks import (
@@ -65,8 +66,8 @@ def write_run_page(path: Path, out: Path | None = None) -> Path:
 def _most_wanted(run: Finished) -> list[tuple[Number, str]]:
     found: list[tuple[Number, str]] = []
     if run.evaluation is not None:
-        ate_m = run.evaluation.as_given.ate_se3_m.rmse
-        found.append((Number(f"{ate_m:.4f} m", ate_m), "ATE, RMSE after SE(3)"))
+        ate_m = run.evaluation.as_given.ate_m.rmse
+        found.append((Number(f"{ate_m:.4f} m", ate_m), f"ATE, RMSE after {run.evaluation.alignment}"))
         drift = run.evaluation.for_rpe.rpe_1s
         if drift is not None:
             rmse = drift.translation_m.rmse
@@ -135,6 +136,10 @@ def _trajectory(run: Finished) -> list[Any]:
         series = {name: (times_s, counts) for name, counts in run.frames.counts.items()}
         blocks += [heading("Keypoints of each frame"), charts.lines_over_time(series, "keypoints", lost_s)]
     notes = [CHART_NOTE] + (["Shaded: no pose."] if lost_s else [])
+    if run.error is not None and run.error.alignment is Alignment.SIM3:
+        notes.append(f"The trajectory is up to scale: drawn after Sim(3) alignment, × {run.error.scale:.4g}.")
+    elif run.trajectory is not None and not run.trajectory.is_metric:
+        notes.append("The trajectory is up to scale: its unit is the map's, not the metre.")
     return [*blocks, paragraphs([" ".join(notes)], "note")]
 
 

@@ -1,6 +1,6 @@
-"""The rigid motion between two clouds of matched points, some of them matched wrongly.
+"""The motion between two clouds of matched points, some of them matched wrongly: rigid, or with a scale.
 
-Horn's closed form on triples, RANSAC over them (ORB-SLAM2's loop closing with the scale held at 1).
+Horn's closed form on triples, RANSAC over them (ORB-SLAM2's loop closing, with the scale held at 1 or free).
 """
 
 from collections.abc import Callable
@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stillroom.geometry import sim3
 from stillroom.geometry.align import align
 from stillroom.geometry.arrays import F64, I64, Bool, Floats
 
@@ -15,8 +16,8 @@ _REFITS = 3
 
 
 @dataclass(frozen=True)
-class RigidFit:
-    """A motion and the pairs (N,) that agree with it."""
+class RobustFit:
+    """A motion (4, 4), rigid or a similarity, and the pairs (N,) that agree with it."""
 
     T_target_source: F64
     is_inlier: Bool
@@ -27,13 +28,14 @@ class RigidFit:
         return int(self.is_inlier.sum())
 
 
-def fit_rigid_robustly(
+def fit_robustly(
     source_m: Floats,
     target_m: Floats,
     agrees: Callable[[F64], Bool],
     rng: np.random.Generator,
     n_samples: int = 300,
-) -> RigidFit | None:
+    with_scale: bool = False,
+) -> RobustFit | None:
     """Find the motion with which most pairs agree.
 
     Args:
@@ -42,6 +44,7 @@ def fit_rigid_robustly(
         agrees: Returns for motions (S, 4, 4) which pairs are inliers, (S, N).
         rng: Samples the triples.
         n_samples: Triples to try; all of them, at once.
+        with_scale: Whether the motion is a similarity (`sim3`) whose scale is free, or rigid.
 
     Returns:
         The motion, fitted to its inliers; None where fewer than three pairs agree with any.
@@ -52,15 +55,17 @@ def fit_rigid_robustly(
     if n < 3:
         return None
     triples = _triples(n, n_samples, rng)
-    motions = rigid_of_samples(source[triples], target[triples])
+    of_samples = similar_of_samples if with_scale else rigid_of_samples
+    motions = of_samples(source[triples], target[triples])
     votes = agrees(motions)
     best = int(np.argmax(votes.sum(axis=1)))
-    fit = RigidFit(motions[best], votes[best])
+    fit = RobustFit(motions[best], votes[best])
     for _ in range(_REFITS):
         if fit.n_inliers < 3:
             return None
-        T_target_source = align(source[fit.is_inlier], target[fit.is_inlier], with_scale=False).T_target_source
-        refit = RigidFit(T_target_source, agrees(T_target_source[None])[0])
+        aligned = align(source[fit.is_inlier], target[fit.is_inlier], with_scale)
+        T_target_source = sim3.of(aligned.T_target_source, aligned.scale)
+        refit = RobustFit(T_target_source, agrees(T_target_source[None])[0])
         if refit.n_inliers < fit.n_inliers:
             break
         fit = refit
@@ -77,6 +82,24 @@ def rigid_of_samples(source_m: F64, target_m: F64) -> F64:
     motions[:, :3, :3] = U @ Vt
     motions[:, :3, 3] = mean_target[:, 0] - np.einsum("sij,sj->si", motions[:, :3, :3], mean_source[:, 0])
     motions[:, 3, 3] = 1.0
+    return motions
+
+
+def similar_of_samples(source_m: F64, target_m: F64) -> F64:
+    """Return the similarities (S, 4, 4) that best align samples (S, K, 3) of points with their counterparts (S, K, 3).
+
+    The scale is the ratio of the clouds' extents, which favours neither side (Horn 1987, section 2.E); samples of one
+    place have the scale 1.
+    """
+    motions = rigid_of_samples(source_m, target_m)
+    mean_source, mean_target = source_m.mean(axis=1, keepdims=True), target_m.mean(axis=1, keepdims=True)
+    extents2 = [
+        np.sum((points - mean) ** 2, axis=(1, 2)) for points, mean in ((source_m, mean_source), (target_m, mean_target))
+    ]
+    known = (extents2[0] > 0.0) & (extents2[1] > 0.0)
+    scale = np.sqrt(np.where(known, extents2[1], 1.0) / np.where(known, extents2[0], 1.0))
+    motions[:, :3, :3] *= scale[:, None, None]
+    motions[:, :3, 3] = mean_target[:, 0] - np.einsum("sij,sj->si", motions[:, :3, :3], mean_source[:, 0])
     return motions
 
 

@@ -290,8 +290,8 @@ class System:
         again = self.tracker.found_again(self.map)
         for place, result in enumerate(self.results) if again else ():
             if result.index in again and result.T_reference_cam is not None:
-                T_reference_world = se3.inverse(self.map.keyframe_pose(result.reference_keyframe))
-                self.results[place] = replace(result, T_reference_cam=T_reference_world @ again[result.index])
+                noted = self.map.noted_in(result.reference_keyframe, again[result.index])
+                self.results[place] = replace(result, T_reference_cam=noted)
         return replace(tracked, T_world_cam=again.get(tracked.frame.image.index, tracked.T_world_cam))
 
     def _in_main(self) -> list[FrameSummary]:

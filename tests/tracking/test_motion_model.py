@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from stillroom.geometry import se3
-from stillroom.tracking.tracker import ConstantVelocity
+from stillroom.tracking.last_frame import ConstantVelocity
 
 STEP = se3.exp(np.array([0.03, -0.01, 0.05, 0.02, -0.04, 0.01]))
 START = se3.exp(np.array([1.0, 2.0, -0.5, 0.4, 0.3, -0.9]))

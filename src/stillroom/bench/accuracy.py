@@ -190,9 +190,9 @@ def sentences(table: Sequence[Accuracy], dense: bool = False) -> list[str]:
     n = len(table[0].trials)
     lines = [
         f"ATE: RMSE [m] after {aligned_by(table)} alignment, ground truth as given, over {n} run{'s' if n > 1 else ''} "
-        f"with seeds 0 to {n - 1}; tracked: the worst run's share of {table[0].trials[0].n_given} frames; RPE over 1 s: median; "
-        "jitter: RMS of the second difference of the position error from frame to frame, fast and slow: of the error "
-        "faster and slower than one second, medians; power above 1 Hz: of the estimated motion, as a share of the true "
+        f"with seeds 0 to {n - 1}; tracked: the worst run's share of {table[0].trials[0].n_given} frames; "
+        "RPE over 1 s: median; jitter: RMS of the second difference of the position error from frame to frame, "
+        "fast and slow: of the error faster and slower than one second, medians; power above 1 Hz: of the estimated motion, as a share of the true "
         "one's; online, lagged: poses as known when their images were processed, and a few frames later, of methods "
         "with a trajectory prior; "
         f"ms a frame: CPU time, network and mapping included, {'with' if dense else 'without'} the dense map, median "

@@ -143,10 +143,9 @@ class LastLook:
         known = [(i, T_reference_cam) for i, T_reference_cam in posed if T_reference_cam is not None]
         if not known:
             return looked
-        T_world_reference = [self._world.keyframe_pose(results[i].reference_keyframe) for i, _ in known]
         frames = Frames(
             np.array([results[i].timestamp_s for i, _ in known]),
-            np.array([T @ T_reference_cam for T, (_, T_reference_cam) in zip(T_world_reference, known, strict=True)]),
+            np.array([self._world.placed_by(results[i].reference_keyframe, noted) for i, noted in known]),
             np.array([float(results[i].n_agreeing) for i, _ in known]),
             self._as_known_now([i for i, _ in known]),
         )
@@ -157,7 +156,8 @@ class LastLook:
                 position_m = self._placed(frames, motion, position_m)
             is_new |= self._look(frames, motion, position_m)
         for k in np.flatnonzero(is_new):
-            i, T_reference_cam = known[k][0], se3.inverse(T_world_reference[k]) @ frames.T_world_cam[k]
+            i = known[k][0]
+            T_reference_cam = self._world.noted_in(results[i].reference_keyframe, frames.T_world_cam[k])
             looked[i] = replace(results[i], T_reference_cam=T_reference_cam, n_agreeing=int(frames.n_agreeing[k]))
         self.n_improved = int(np.count_nonzero(is_new))
         return looked

@@ -20,12 +20,12 @@ from stillroom.protocols import KeypointSieve, MatchSieve, Parts, Pending, Quick
 from stillroom.tracking import correspondences
 from stillroom.tracking.depth_clock import with_depth_in_time
 from stillroom.tracking.flow_tracking import FlowConfig, FlowTracking, KeyframeRule, OrbAlways
+from stillroom.tracking.last_frame import LastFrame
 from stillroom.tracking.low_cost import NoLowCost
 from stillroom.tracking.readout_check import RowsFound
 from stillroom.tracking.shutter import (
     GLOBAL,
     ROLLING,
-    Before,
     DepthNoiseConfig,
     GlobalShutter,
     PoseFit,
@@ -39,38 +39,6 @@ from stillroom.tracking.start import DepthStart, Start
 MAX_KEYFRAMES = 80
 _NEIGHBOURS = 10
 BETWEEN_KEYFRAMES = ("orb", "flow")
-
-
-# The constant-velocity motion model.
-
-
-class ConstantVelocity:
-    """Stores the motion between the last two frames."""
-
-    def __init__(self) -> None:
-        """Start without a velocity."""
-        self._T_cam_last: F64 | None = None
-
-    @property
-    def is_known(self) -> bool:
-        """Whether there were two neighbouring frames with a pose."""
-        return self._T_cam_last is not None
-
-    def predict(self, T_world_last: F64) -> F64:
-        """Return the guess `T_cam_world` (4, 4) of the next frame, given the last pose as known now."""
-        T_last_world = se3.inverse(T_world_last)
-        return T_last_world if self._T_cam_last is None else self._T_cam_last @ T_last_world
-
-    def update(self, T_world_last: F64, T_world_cam: F64) -> None:
-        """Update from two neighbouring poses (4, 4)."""
-        self._T_cam_last = se3.orthonormalize(se3.inverse(T_world_cam) @ T_world_last)
-
-    def forget(self) -> None:
-        """Drop the velocity, after a frame without a pose."""
-        self._T_cam_last = None
-
-
-# The part of the map around the camera.
 
 
 @dataclass(frozen=True)
@@ -209,10 +177,7 @@ class Tracker:
         """Start without earlier frames."""
         self.start = start
         self.config, self.sieve, self.quick, self.pose = config, sieve, quick, pose
-        self._velocity = ConstantVelocity()
-        self._last: Tracked | None = None
-        self._T_reference_last: F64 | None = None
-        self._frames_since_recovery = 1 << 30
+        self._last = LastFrame()
 
     def track(self, frame: Frame, semantics: Pending[Semantics], world: Map) -> Tracked:
         """Return the frame with its pose, if known; its state says whether it is.
@@ -224,10 +189,9 @@ class Tracker:
         """
         if world.is_empty:
             return self.start.start(frame, semantics, world)
-        last = self._last_as_known_now(world)
-        fix = None
-        if last is not None and last.T_world_cam is not None and self._velocity.is_known:
-            guess = self._velocity.predict(last.T_world_cam)
+        last = self._last.as_known_now(world)
+        guess, fix = self._last.expected_next(last), None
+        if last is not None and guess is not None:
             moved = self._in_time(frame, guess, world)
             guess = self.quick.localize(moved, last, guess, semantics, world)  # low-cost tracking, where there is any
             fix = self._with_motion_model(moved, last, guess, semantics, world)
@@ -237,7 +201,7 @@ class Tracker:
             if fix is not None:
                 frame = self._with_depth_in_time(frame, fix.T_cam_world, world)
         if fix is None or last is None:
-            return _lost(frame, self._reference)
+            return _lost(frame, self._last.reference_keyframe)
         frame = self.pose.at_mid_frame(frame, fix.velocity)
         return self._with_local_map(frame, fix, last.reference_keyframe, semantics, world)
 
@@ -263,7 +227,7 @@ class Tracker:
         matches = Matches.of(point_ids)
         motion = self.sieve.judge(Question(Stage.RELOCALIZATION, frame, matches, semantics, T_cam_world, world))
         fix = _Fix(T_cam_world, np.where(motion.is_static, point_ids, np.int32(-1)), motion, np.zeros(0, np.int32))
-        tracked = self._with_local_map(frame, fix, self._reference, semantics, world)
+        tracked = self._with_local_map(frame, fix, self._last.reference_keyframe, semantics, world)
         if tracked.n_inliers < self.config.min_inliers_recovered:
             return _lost(frame, tracked.reference_keyframe, tracked.motion)
         return replace(tracked, recovery=recovery)
@@ -277,10 +241,9 @@ class Tracker:
         Returns:
             None where either is unknown, and for a second after tracking was lost.
         """
-        last = self._last_as_known_now(world)
-        if last is None or last.T_world_cam is None or not self._velocity.is_known or self._is_recovering:
-            return None
-        return last, self._velocity.predict(last.T_world_cam)
+        last = self._last.as_known_now(world)
+        guess = self._last.expected_next(last)
+        return None if last is None or guess is None or self._last.is_recovering else (last, guess)
 
     def locate_followed(
         self, frame: Frame, guess: F64, point_ids: I32, reference: int, semantics: Pending[Semantics], world: Map
@@ -315,16 +278,7 @@ class Tracker:
     def remember(self, tracked: Tracked, world: Map) -> None:
         """Store the result of a frame, after mapping, for the next one."""
         self.pose.remember(tracked, world)
-        if tracked.T_world_cam is None:
-            self._velocity.forget()
-            self._last, self._T_reference_last = None, None
-            return
-        T_world_last = self._last_pose_as_known_now(world)
-        if T_world_last is not None:
-            self._velocity.update(T_world_last, tracked.T_world_cam)
-        self._frames_since_recovery = 0 if tracked.recovered else self._frames_since_recovery + 1
-        self._last = tracked
-        self._T_reference_last = world.noted_in(tracked.reference_keyframe, tracked.T_world_cam)
+        self._last.remember(tracked, world)
 
     @property
     def rows(self) -> RowsFound | None:
@@ -339,39 +293,16 @@ class Tracker:
         """Find earlier images again where there is reason to; return their `T_world_cam` (4, 4) by image index."""
         return self.pose.found_again(world)
 
-    @property
-    def _reference(self) -> int:
-        return self._last.reference_keyframe if self._last is not None else 0
-
-    def _last_as_known_now(self, world: Map) -> Tracked | None:
-        """Return the last frame with pose and points updated by mapping since."""
-        if self._last is None:
-            return None
-        T_world_last = self._last_pose_as_known_now(world)
-        return replace(self._last, T_world_cam=T_world_last, point_ids=world.current_ids(self._last.point_ids))
-
-    def _last_pose_as_known_now(self, world: Map) -> F64 | None:
-        if self._last is None or self._T_reference_last is None:
-            return None
-        return world.placed_by(self._last.reference_keyframe, self._T_reference_last)
-
     def _in_time(self, frame: Frame, guess: F64, world: Map) -> Frame:
         """Return a frame with its keypoints where, and at the depth that, they are expected to have at mid-frame."""
-        moved = self.pose.at_mid_frame(frame, self.pose.expected(guess, self._before(frame, world)))
+        moved = self.pose.at_mid_frame(frame, self.pose.expected(guess, self._last.before(frame, world)))
         return self._with_depth_in_time(moved, guess, world)
 
     def _with_depth_in_time(self, frame: Frame, T_cam_world: F64, world: Map) -> Frame:
         after_s = self.config.depth.after_s(frame)
         if after_s == 0.0:
             return frame
-        return with_depth_in_time(frame, after_s, expected_velocity(T_cam_world, self._before(frame, world)))
-
-    def _before(self, frame: Frame, world: Map) -> Before | None:
-        """Return the frame before this one, as known now."""
-        T_world_last = self._last_pose_as_known_now(world)
-        if self._last is None or T_world_last is None:
-            return None
-        return Before(T_world_last, frame.timestamp_s - self._last.frame.timestamp_s)
+        return with_depth_in_time(frame, after_s, expected_velocity(T_cam_world, self._last.before(frame, world)))
 
     def _with_motion_model(
         self, frame: Frame, last: Tracked, guess: F64, semantics: Pending[Semantics], world: Map
@@ -431,18 +362,13 @@ class Tracker:
         return self.pose.learn(tracked, world)
 
     def _inliers_needed(self) -> int:
-        return self.config.min_inliers_recovered if self._is_recovering else self.config.min_inliers
-
-    @property
-    def _is_recovering(self) -> bool:
-        """Whether the camera was lost less than a second ago."""
-        return self._frames_since_recovery < 30
+        return self.config.min_inliers_recovered if self._last.is_recovering else self.config.min_inliers
 
     def _fix(
         self, frame: Frame, guess: F64, matches: Matches, motion: Motion, world: Map, *, tells_turn: bool = True
     ) -> _Fix:
         """Optimise the pose over the matches and return it with its inliers; the guess may tell how fast it turns."""
-        turn = turn_rad_s(guess, self._before(frame, world) if tells_turn else None)
+        turn = turn_rad_s(guess, self._last.before(frame, world) if tells_turn else None)
         depth = self.config.depth.terms(turn, frame.camera)
         fitted = self.pose.fit(frame, guess, matches, world.points.position_m, motion.p_static, depth)
         point_ids = np.full(len(frame), -1, dtype=np.int32)

@@ -150,7 +150,7 @@ def test_show_config_prints_what_run_takes(stillroom: Callable, tmp_path: Path) 
 def test_run_does_what_its_options_say(done: Path) -> None:
     config = tomllib.loads((done / "config.toml").read_text(encoding="utf-8"))
     assert (config["method"], config["seed"], config["semantics"]["kind"]) == ("oc-slam", 4, "truth")
-    source = {"sequence": "synthetic:empty", "camera": "", "fps": "", "frames": "0:32", "reverse": False}
+    source = {"sequence": "synthetic:empty", "camera": "", "fps": "", "frames": "0:32", "reverse": False, "sensor": ""}
     pairing = {"time_unit": "", "by": "", "max_gap_s": 0.02, "depth_offset_s": 0.0}
     assert config["run"]["source"] == source | {"drop": ["20:21"], "blackout": ["25:26"], "pairing": pairing}
     assert config["run"]["detector_off"] == ["10:12"]

@@ -14,6 +14,8 @@ from stillroom.evaluation.trajectory_errors import ate
 from stillroom.geometry import se3
 from stillroom.presets.registry import configure
 from stillroom.protocols import Dataset
+from stillroom.schedule import LiveSchedule
+from stillroom.storage import StoredMap, load_map, save_map
 from stillroom.system import System, build
 
 
@@ -76,3 +78,26 @@ def test_people_are_kept_out_by_masks_and_by_clusters_of_the_pairs_own_depth_ima
     assert errors_m["orb-slam2"] > 0.03
     assert errors_m["pspnet-slam"] < 0.01
     assert errors_m["oc-slam"] < 0.01
+
+
+def test_workers_make_the_depth_images_of_pairs_while_others_are_tracked() -> None:
+    room = open_dataset("synthetic:walking,frames=90,stereo=rectified")
+    settings = ("semantics.kind=truth", "stereo.dense=sgbm")
+    fitted, _ = fit_to_sensor(configure("oc-slam", overrides=settings), room.sensor)
+    system = build(fitted, room.camera, schedule=LiveSchedule(), sensor=room.sensor)
+    images = [room.load(index) for index in range(60, 70)]
+    for place, image in enumerate(images):
+        for coming in images[place : place + 3]:
+            system.begin(coming)
+        result = system.process(image)
+        assert result.index == image.index
+    system.close()
+    assert len(system.trajectory()) == 10
+
+
+def test_a_map_of_wide_pairs_is_read_back_with_its_pyramid(kitti: Path, tmp_path: Path) -> None:
+    street = open_dataset(str(kitti))
+    world = run(street, configure("orb-slam2"), range(3)).map
+    assert world.scales.finest_px == 1.0
+    save_map(tmp_path / "street.stillmap", StoredMap(world, street.camera))
+    assert load_map(tmp_path / "street.stillmap").world.scales == world.scales

@@ -344,8 +344,7 @@ def build(
     Raises:
         ConfigError, WeightsError, VocabularyError: A value is impossible; what it names is absent, or cannot be read.
     """
-    check(config)
-    config = in_pixels_of(config if sensor.is_metric else for_single_camera(config), camera.pixel_scale)
+    config = _checked(config, camera, sensor)
     clock, world = clock or StageClock(), world or Map(config.features.scales(camera, sensor), sensor)
     parts = Parts(camera, world, config.seed, clock, schedule or InOrder(), sensor)
     sieve = timed_part(Asking(config.dynamics.build(parts), world), clock, judge="dynamics", remember="memory")
@@ -353,13 +352,12 @@ def build(
     policy, keypoints, dense = config.keyframes.build(parts), config.keypoints.build(parts), config.dense.build(parts)
     segmenter, places = segmenter or config.semantics.build(parts), config.places.build(parts)
     places.remember_all()
-    dense_stereo = config.stereo.build_dense(parts)
     refresh = partial(parts.schedule.submit, Worker.DENSE, dense.refresh)
     return System(
         schedule=parts.schedule,
         segmenter=clock.timed("semantics", segmenter),
         see=clock.timed("semantics", segmenter.see) if isinstance(segmenter, KeyframeSegmenter) else None,
-        dense_stereo=clock.timed("depth image", dense_stereo) if dense_stereo else None,
+        dense_stereo=config.stereo.build_dense(parts),
         clusterer=clock.timed("clusters", config.clusters.build(parts)),
         features=timed_part(_features(config, parts), clock, extract="features"),
         keypoint_sieve=keypoints,
@@ -380,6 +378,12 @@ def build(
         last_look=timed_part(config.last_look.build(parts, tracker, config.trajectory), clock, again="last look"),
         first_keyframe=len(world.keyframes),
     )
+
+
+def _checked(config: SlamConfig, camera: Camera, sensor: Sensor) -> SlamConfig:
+    """Return a config that is within its bounds, for a sensor, in pixels of a camera's images."""
+    check(config)
+    return in_pixels_of(config if sensor.is_metric else for_single_camera(config), camera.pixel_scale)
 
 
 def _start(config: SlamConfig, parts: Parts, sieve: Asking) -> Start:

@@ -75,7 +75,7 @@ def test_keypoints_get_the_depth_of_their_surfaces() -> None:
     known = kp.depth_m > 0
     np.testing.assert_array_equal(known, kp.right_px >= 0)
     assert known.mean() > 0.6
-    np.testing.assert_allclose(kp.right_px[known], (kp.px[:, 0] - CAMERA.bf / kp.depth_m)[known], atol=1e-3)
+    np.testing.assert_allclose(kp.right_px[known], kp.px[known, 0] - CAMERA.bf / kp.depth_m[known], atol=1e-3)
     level_px = frame.scales.factors[kp.octave]
     error_px = CAMERA.bf / kp.depth_m[known] - true_disparity_px(kp.px[known])
     clear = ~near_an_edge(kp.px[known], 20.0)

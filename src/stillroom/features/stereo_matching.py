@@ -1,6 +1,6 @@
 """Depth of keypoints from a rectified pair of images (ORB-SLAM2: ComputeStereoMatches)."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -9,11 +9,11 @@ from stillroom.bounds import bounded
 from stillroom.data.frame import Keypoints
 from stillroom.data.image import Image, StereoImage
 from stillroom.data.sensor import Sensor
-from stillroom.features.dense_stereo import SemiGlobal, SemiGlobalConfig
+from stillroom.features.dense_stereo import SemiGlobalConfig
 from stillroom.features.keypoint_depth import NoDepth
 from stillroom.features.orb import OrbConfig
 from stillroom.features.row_matching import RowKeypoints, agreeing, refine, search_rows
-from stillroom.geometry.arrays import F64, I64, U8
+from stillroom.geometry.arrays import F32, F64, I64, U8
 from stillroom.geometry.camera import Camera
 from stillroom.geometry.hamming import words
 from stillroom.protocols import Parts
@@ -50,10 +50,10 @@ class StereoConfig:
         """Return the matcher of a camera's pairs, whose left keypoints are found as `features` says."""
         return StereoMatcher(self, features, parts)
 
-    def build_dense(self, parts: Parts) -> SemiGlobal | None:
-        """Return what makes depth images of a camera's pairs; None where it has no pairs, or none is wanted."""
+    def build_dense(self, parts: Parts) -> Callable[[Image], F32] | None:
+        """Return what makes depth images of a camera's pairs, timed; None where it has no pairs, or none is wanted."""
         wanted = self.dense == "sgbm" and parts.sensor is Sensor.STEREO
-        return self.sgbm.build(parts.camera) if wanted else None
+        return parts.clock.timed("depth image", self.sgbm.build(parts.camera)) if wanted else None
 
 
 class StereoMatcher:

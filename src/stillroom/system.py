@@ -352,7 +352,6 @@ def build(
     policy, keypoints, dense = config.keyframes.build(parts), config.keypoints.build(parts), config.dense.build(parts)
     segmenter, places = segmenter or config.semantics.build(parts), config.places.build(parts)
     places.remember_all()
-    refresh = partial(parts.schedule.submit, Worker.DENSE, dense.refresh)
     return System(
         schedule=parts.schedule,
         segmenter=clock.timed("semantics", segmenter),
@@ -368,8 +367,8 @@ def build(
         keyframe_policy=policy,
         mapper=timed_part(config.mapping.build(parts), clock, insert="keyframe", refine="mapping", finish="rest"),
         places=timed_part(places, clock, remember="places"),
-        joiner=timed_part(config.joining.build(parts, places, after=(refresh,)), clock, join="joining"),
-        loop_closer=timed_part(config.loops.build(parts, places, after=(refresh,)), clock, close="loops"),
+        joiner=timed_part(config.joining.build(parts, places, _refreshing(dense, parts)), clock, join="joining"),
+        loop_closer=timed_part(config.loops.build(parts, places, _refreshing(dense, parts)), clock, close="loops"),
         dense_mapper=timed_part(dense, clock, integrate="dense", carve="carving"),
         keeper=timed_part(keeper, clock, keep="storage") if keeper else NoKeeper(),
         map=world,
@@ -384,6 +383,11 @@ def _checked(config: SlamConfig, camera: Camera, sensor: Sensor) -> SlamConfig:
     """Return a config that is within its bounds, for a sensor, in pixels of a camera's images."""
     check(config)
     return in_pixels_of(config if sensor.is_metric else for_single_camera(config), camera.pixel_scale)
+
+
+def _refreshing(dense: DenseMapping, parts: Parts) -> tuple[Callable[[], object]]:
+    """Return what follows a change of the whole map: the dense map is built anew, by its worker."""
+    return (partial(parts.schedule.submit, Worker.DENSE, dense.refresh),)
 
 
 def _start(config: SlamConfig, parts: Parts, sieve: Asking) -> Start:

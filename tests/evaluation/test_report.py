@@ -7,7 +7,8 @@ import pytest
 
 from stillroom.data.trajectory import Trajectory
 from stillroom.errors import TrajectoryError
-from stillroom.evaluation.report import HEADER, as_text, evaluate, from_json, lines, percent, rows, to_json
+from stillroom.evaluation.report import HEADER, as_text, evaluate, lines, percent, rows
+from stillroom.evaluation.report_file import from_json, to_json
 from stillroom.evaluation.trajectory_errors import ate, rpe, rpe_frames
 from stillroom.geometry import se3
 

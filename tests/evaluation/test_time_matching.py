@@ -5,7 +5,8 @@ import pytest
 
 from stillroom.data.trajectory import Trajectory, read_tum
 from stillroom.errors import ConfigError, TrajectoryError
-from stillroom.evaluation.report import evaluate, from_json, lines, to_json
+from stillroom.evaluation.report import evaluate, lines
+from stillroom.evaluation.report_file import from_json, to_json
 from stillroom.evaluation.time_matching import TimeMatching, estimate_offset_s, interpolated
 from stillroom.evaluation.trajectory_errors import SparseTruthError, rpe, rpe_frames
 from stillroom.geometry import se3

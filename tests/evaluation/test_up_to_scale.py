@@ -10,17 +10,8 @@ from evo.core import metrics
 from evo.core.trajectory import PoseTrajectory3D
 
 from stillroom.data.trajectory import Trajectory, read_tum
-from stillroom.evaluation.report import (
-    Evaluation,
-    as_text,
-    evaluate,
-    from_json,
-    lines,
-    rows,
-    said_alignment,
-    to_json,
-    values,
-)
+from stillroom.evaluation.report import Evaluation, as_text, evaluate, lines, rows, said_alignment, values
+from stillroom.evaluation.report_file import from_json, to_json
 from stillroom.evaluation.smoothness import smoothness
 from stillroom.evaluation.time_matching import TimeMatching, estimate_offset_s
 from stillroom.evaluation.trajectory_errors import Alignment, ate, in_metres, pair, rpe, rpe_frames

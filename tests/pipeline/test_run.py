@@ -19,7 +19,7 @@ from stillroom.data.trajectory import read_tum
 from stillroom.datasets.open import open_dataset
 from stillroom.datasets.selection import Selected, select
 from stillroom.errors import ConfigError, FrameError, StillroomError
-from stillroom.evaluation.report import from_json
+from stillroom.evaluation.report_file import from_json
 from stillroom.evaluation.smoothness import smoothness
 from stillroom.evaluation.timing import FRAME
 from stillroom.evaluation.trajectory_errors import ate

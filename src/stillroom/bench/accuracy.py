@@ -193,8 +193,8 @@ def sentences(table: Sequence[Accuracy], dense: bool = False) -> list[str]:
         f"with seeds 0 to {n - 1}; tracked: the worst run's share of {table[0].trials[0].n_given} frames; "
         "RPE over 1 s: median; jitter: RMS of the second difference of the position error from frame to frame, "
         "fast and slow: of the error faster and slower than one second, medians; power above 1 Hz: of the estimated "
-        "motion, as a share of the true one's; online, lagged: poses as known when their images were processed, and a few frames later, of methods "
-        "with a trajectory prior; "
+        "motion, as a share of the true one's; online, lagged: poses as known when their images were processed, and a "
+        "few frames later, of methods with a trajectory prior; "
         f"ms a frame: CPU time, network and mapping included, {'with' if dense else 'without'} the dense map, median "
         f"of the runs' means, one thread of: {processor()}"
     ]

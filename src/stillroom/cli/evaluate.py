@@ -69,7 +69,7 @@ def evaluate(
         stillroom evaluate --estimate mine.txt --groundtruth groundtruth.txt
     """
     from stillroom.cli.output import show_log
-    from stillroom.evaluation.report import to_json
+    from stillroom.evaluation.report_file import to_json
     from stillroom.pipeline import evaluate_files, evaluate_folder
     from stillroom.pipeline.results import chosen_folder, new_folder
 

@@ -45,7 +45,8 @@ from stillroom.data.replacing import cannot_be_written, replace_text
 from stillroom.data.result import Recovery, TrackingState
 from stillroom.data.trajectory import Trajectory, read_tum
 from stillroom.errors import NO_MEMORY, ConfigError, StillroomError
-from stillroom.evaluation.report import Evaluation, to_json
+from stillroom.evaluation.report import Evaluation
+from stillroom.evaluation.report_file import to_json
 from stillroom.evaluation.timing import FRAME, peak_memory_mb
 from stillroom.pipeline.options import RunOptions, RunOutcome
 from stillroom.protocols import Origin

@@ -19,7 +19,8 @@ from stillroom.config import SlamConfig
 from stillroom.data.image import RgbdImage
 from stillroom.datasets.selection import Selected, select
 from stillroom.errors import FrameError, StillroomError
-from stillroom.evaluation.report import as_text, from_json, values
+from stillroom.evaluation.report import as_text, values
+from stillroom.evaluation.report_file import from_json
 from stillroom.pipeline import RunOptions, RunOutcome, evaluate_folder, run
 from stillroom.pipeline.reports.finished import read_finished
 from stillroom.pipeline.reports.run_page import write_run_page

@@ -11,7 +11,8 @@ import numpy as np
 
 from stillroom.data.trajectory import Trajectory, read_tum
 from stillroom.errors import StillroomError
-from stillroom.evaluation.report import Evaluation, from_json
+from stillroom.evaluation.report import Evaluation
+from stillroom.evaluation.report_file import from_json
 from stillroom.evaluation.time_matching import TimeMatching
 from stillroom.evaluation.trajectory_errors import AbsoluteError, ate
 from stillroom.pipeline import results

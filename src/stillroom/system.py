@@ -51,7 +51,7 @@ from stillroom.viz.no_observer import NoObserver
 
 @dataclass
 class System:
-    """An RGB-D SLAM system, put together by `build`."""
+    """A SLAM system, put together by `build`."""
 
     schedule: Schedule
     segmenter: Segmenter

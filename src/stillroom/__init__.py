@@ -1,4 +1,4 @@
-"""Stillroom: where an RGB-D camera was in a room full of people, and a map of what stays.
+"""Stillroom: where a camera was in a room full of people, and a map of what stays.
 
 ::
 

@@ -91,7 +91,7 @@ def application(chosen: str | None = None, following: str | None = None) -> type
     """
     app = typer.Typer(
         name="stillroom",
-        help="RGB-D SLAM for rooms full of people: where the camera was, and a map of what stays.",
+        help="SLAM for rooms full of people: where the camera was, and a map of what stays.",
         no_args_is_help=True,
         add_completion=False,
         pretty_exceptions_enable=False,
@@ -217,7 +217,7 @@ def _options(
         bool, typer.Option("--version", help="Print the version.", is_eager=True, callback=_print_version)
     ] = False,
 ) -> None:
-    """RGB-D SLAM for rooms full of people: where the camera was, and a map of what stays."""
+    """SLAM for rooms full of people: where the camera was, and a map of what stays."""
 
 
 def _not_loaded() -> None:

@@ -10,6 +10,7 @@ from random_map import EventfulLife, session
 from small_world import CAMERA
 
 import stillroom as sr
+from stillroom.data.map import submaps
 from stillroom.data.sensor import Sensor
 from stillroom.errors import ConfigError, FrameError, MapError
 from stillroom.pipeline import RunOptions, Source, run
@@ -54,6 +55,22 @@ def test_a_map_of_another_sensor_is_refused(
     assert f"is a map of {made_with.words} images, and a walk has {sensor.words} ones" in said
     assert path.read_bytes() == before
     assert [file.name for file in tmp_path.iterdir()] == ["room.stillmap"]
+
+
+@pytest.mark.parametrize("use", ["continue", "localize"])
+def test_a_map_that_was_dropped_as_a_whole_is_refused(use: str, tmp_path: Path) -> None:
+    path = map_of(MONOCULAR, tmp_path / "whole.stillmap")
+    world = sr.load_map(path).world
+    submaps.discard(0, world)
+    save_map(tmp_path / "room.stillmap", StoredMap(world, CAMERA, (session(),)))
+    with pytest.raises(MapError, match="holds no keyframe; there is nothing to recognise"):
+        sr.Slam("orb-slam2", CAMERA, map=tmp_path / "room.stillmap", map_use=use, sensor=MONOCULAR)
+
+
+def test_what_only_localizes_begins_no_map(tmp_path: Path) -> None:
+    path, asked = map_of(MONOCULAR, tmp_path / "room.stillmap"), ["monocular.patience=5"]
+    with sr.Slam("orb-slam2", CAMERA, map=path, map_use="localize", sensor=MONOCULAR, settings=asked) as slam:
+        assert slam.system.recovery.config.patience == 0
 
 
 def test_a_metric_map_of_another_sensor_can_be_localized_in(tmp_path: Path) -> None:

@@ -72,6 +72,7 @@ class MapFile:
             keyframes=replace(config.keyframes, enabled=False),
             mapping=replace(config.mapping, max_final_keyframes=0),
             recovery=replace(config.recovery, patience=0),
+            monocular=replace(config.monocular, patience=0),  # which takes the place of the one above
             loops=replace(config.loops, enabled=False),
             dense=NoDenseMapConfig(),
         )
@@ -147,7 +148,7 @@ def _loaded(path: Path, config: SlamConfig) -> StoredMap:
             f"{path}: was made with {was.count} pyramid levels of {was.factor}, not {asked.count} of {asked.factor}; "
             f"--set features.n_levels={was.count} --set features.scale_factor={was.factor}"
         )
-    if len(stored.world.keyframes) == 0:
+    if stored.world.is_empty:
         raise MapError(f"{path}: holds no keyframe; there is nothing to recognise; make it again")
     return stored
 

@@ -10,8 +10,8 @@ from stillroom.config import SlamConfig
 from stillroom.data.image import Image
 from stillroom.data.result import FrameSummary
 from stillroom.data.semantics import Semantics
-from stillroom.datasets.recording import sensor_of
 from stillroom.data.trajectory import Trajectory
+from stillroom.datasets.recording import sensor_of
 from stillroom.dense.no_dense_map import NoDenseMapConfig
 from stillroom.evaluation.report import Evaluation, percent
 from stillroom.evaluation.smoothness import Smoothness

@@ -128,3 +128,22 @@ def test_with_rgbd_nothing_is_left_out() -> None:
     with sr.Slam("stillroom", CAMERA, settings=["semantics.kind=truth"]) as slam:
         assert slam.left_out == ()
         assert slam.sensor is RGBD
+
+
+def test_a_pair_that_repeats_has_the_depth_image_of_the_one_before() -> None:
+    room = sr.open_dataset("synthetic:empty,frames=20,path=halfsphere,stereo=rectified")
+    shown: list[sr.Image] = []
+
+    class Watching:
+        def on_frame(self, tracked: object, semantics: object, result: object) -> None:
+            shown.append(tracked.frame.image)  # type: ignore[attr-defined]
+
+    with sr.Slam(
+        "orb-slam2", room.camera, sensor=STEREO, settings=["stereo.dense=sgbm"], observers=[Watching()]
+    ) as slam:
+        first = room.load(0)
+        slam.process(first)
+        slam.process(first.at(1, first.timestamp_s + 0.1))
+        assert slam.system.n_repeated == 1
+    assert [image.index for image in shown] == [0, 1]
+    assert shown[1].depth_m is shown[0].depth_m

@@ -266,8 +266,11 @@ class Slam:
         if self._newest.seen is None:
             return None
         tracked, semantics, result = self._newest.seen
-        if result.state is not TrackingState.OK or not _is_same(tracked.frame.image, image):
+        before = tracked.frame.image
+        if result.state is not TrackingState.OK or not _is_same(before, image):
             return None
+        if isinstance(image, StereoImage) and isinstance(before, StereoImage):
+            image = replace(image, depth_of_pair=before.depth_of_pair)  # observers see it as every other
         if self.system.n_repeated == 0:
             text = f"image {image.index} is the one before it once more; such images get its pose, and are counted"
             self.doubt([Doubt("repeated-images", text)])

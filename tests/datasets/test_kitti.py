@@ -187,3 +187,10 @@ def test_the_real_stretch_is_read_back(kitti: Path) -> None:
     path_m = np.linalg.norm(np.diff(dataset.groundtruth.positions_m, axis=0), axis=1).sum()
     assert path_m == pytest.approx(60.0, abs=1.0)
     check_dataset(dataset)
+
+
+@pytest.mark.parametrize("there", ["image_1", "image_2"])
+def test_a_folder_without_the_left_grey_images_is_told_what_it_lacks(there: str, tmp_path: Path) -> None:
+    (tmp_path / "00" / there).mkdir(parents=True)
+    with pytest.raises(DatasetError, match="00: no folder image_0/ in it; the grey pair, image_0/ and image_1/, is"):
+        open_dataset(str(tmp_path / "00"))

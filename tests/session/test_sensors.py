@@ -147,3 +147,11 @@ def test_a_pair_that_repeats_has_the_depth_image_of_the_one_before() -> None:
         assert slam.system.n_repeated == 1
     assert [image.index for image in shown] == [0, 1]
     assert shown[1].depth_m is shown[0].depth_m
+
+
+@pytest.mark.parametrize("sensor", [STEREO, MONOCULAR])
+def test_without_depth_images_no_setting_is_named_that_makes_no_dense_map(sensor: Sensor) -> None:
+    with sr.Slam("orb-slam2", CAMERA, sensor=sensor) as slam, pytest.raises(MapError) as raised:
+        slam.dense_cloud()
+    assert "has no depth image" in str(raised.value)
+    assert "dense.kind" not in str(raised.value)

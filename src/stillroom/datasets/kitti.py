@@ -94,7 +94,9 @@ def open_kitti(
 def _images(folder: Path) -> list[Path]:
     """Return the images of a folder in the order of their names."""
     if not folder.is_dir():
-        raise DatasetError(f"{folder.parent}: no folder {folder.name}/ in it; the grey pair, {LEFT}/ and {RIGHT}/, is read")
+        raise DatasetError(
+            f"{folder.parent}: no folder {folder.name}/ in it; the grey pair, {LEFT}/ and {RIGHT}/, is read"
+        )
     files = [p for p in folder.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and not p.name.startswith(HIDDEN)]
     if not files:
         raise DatasetError(f"{folder}: no images in it; is the sequence complete?")

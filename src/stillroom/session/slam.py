@@ -12,7 +12,7 @@ import numpy as np
 
 from stillroom.compiled import said_when_compiling
 from stillroom.config import SlamConfig, with_overrides
-from stillroom.config.sensors import fit_to_sensor
+from stillroom.config.sensors import NO_DEPTH_IMAGE, fit_to_sensor, has_depth_image
 from stillroom.data.dense_cloud import DenseCloud
 from stillroom.data.image import Image, StereoImage
 from stillroom.data.map import Map
@@ -240,6 +240,8 @@ class Slam:
         """
         cloud = self.system.dense_cloud()
         if cloud is None:
+            if not has_depth_image(self.config, self.sensor):
+                raise MapError(f"{self.config.method} makes no dense map here: {NO_DEPTH_IMAGE[self.sensor]}")
             raise MapError(f"{self.config.method} makes no dense map here; the setting 'dense.kind=voxels' makes one")
         return cloud
 

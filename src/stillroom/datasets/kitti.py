@@ -64,7 +64,7 @@ def open_kitti(
         raise DatasetError(f"{folder}: no {RIGHT}/ in it; a stereo sequence needs the right images")
     is_pair = has_pair and sensor is not Sensor.MONOCULAR
     size = _size(left)
-    given = None if camera is None else camera_of(camera, has_depth=False)
+    given = None if camera is None else camera_of(camera, has_depth=False, is_pair=is_pair)
     calibration, source = given or (_camera(folder / CALIBRATION_NAME, size, is_pair), f"its own {CALIBRATION_NAME}")
     if given is not None and is_pair and calibration.is_distorted:
         raise CalibrationError(f"--camera {camera}: has a distortion, and the pairs of {name} are rectified")

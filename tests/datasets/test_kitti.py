@@ -200,7 +200,7 @@ def test_a_camera_file_of_a_pair_names_its_baseline(tmp_path: Path) -> None:
     """Without it, that of a Kinect would hold, and all lengths would be too small without a word."""
     folder, file = write_kitti(tmp_path / "00"), tmp_path / "mine.toml"
     file.write_text(f"width = 188\nheight = 120\nfx = {F}\nfy = {F}\ncx = {CX}\ncy = {CY}\n")
-    with pytest.raises(CalibrationError, match="mine.toml: 'baseline_m' is missing; all lengths"):
+    with pytest.raises(CalibrationError, match=r"mine\.toml: 'baseline_m' is missing; all lengths"):
         open_dataset(str(folder), camera=str(file))
     assert open_dataset(str(folder), camera=str(file), sensor="monocular").sensor is Sensor.MONOCULAR
     file.write_text(file.read_text() + f"baseline_m = {BASELINE_M}\n")

@@ -44,9 +44,9 @@ class MapFile:
     use: MapUse = MapUse.NEW
 
     @property
-    def read_only(self) -> Path | None:
-        """The file, where it is only tracked against; None where it is written."""
-        return self.path if self.use is MapUse.LOCALIZE else None
+    def earlier(self) -> Path | None:
+        """The file, where it is of earlier runs; None where it is made."""
+        return None if self.use is MapUse.NEW else self.path
 
     def described(self) -> dict[str, str]:
         """Return what config.toml says of it."""
@@ -166,11 +166,17 @@ def _require_sensor(file: MapFile, made_with: Sensor, sensor: Sensor, sequence: 
 
 
 def _require_camera(path: Path, made_with: Camera, camera: Camera, sequence: str) -> None:
-    if made_with != camera:
+    if _projection_of(made_with) != _projection_of(camera):
         raise MapError(
             f"{path}: was made with another camera ({_described(made_with)}) than that of {sequence} "
             f"({_described(camera)}); one map holds one camera's keyframes; --localize works with any"
         )
+
+
+def _projection_of(camera: Camera) -> Camera:
+    """Return a camera with what a map file keeps of it: where points are seen, not how rows and depth are measured."""
+    plain = Camera(camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy, camera.distortion)
+    return replace(plain, depth_factor=camera.depth_factor, bf=camera.bf)
 
 
 def _described(camera: Camera) -> str:

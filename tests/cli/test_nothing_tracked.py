@@ -76,3 +76,25 @@ def test_with_it_a_single_pose_is_too_little(stillroom: Callable, recorded: Path
     said = stillroom("run", recorded, "--frames", ":1", "--pictures", "0", "--out", "out")
     assert said.code == 0
     assert "no ground truth" not in said.out
+
+
+def test_a_map_that_was_dropped_is_nothing(stillroom: Callable, freiburg1_xyz: Path) -> None:
+    """Images of it were tracked for a while, and have no pose in the end."""
+    only = ("--sensor", "monocular", "--pictures", "0", "--no-report", "--method", "orb-slam2", "--out", "out")
+    said = stillroom("run", freiburg1_xyz, "--frames", ":14", "--blackout", "12:14", *only)
+    assert "0 of" in said.out
+    assert "1 map was dropped" in said.out
+    assert said.code == 3
+    [error] = said.errors
+    assert "every map that was begun was lost soon after, and dropped" in error
+
+
+def test_going_on_in_a_map_of_which_no_place_is_recognised(stillroom: Callable, recorded: Path) -> None:
+    assert stillroom("run", recorded, *FEW, "--map", "room.stillmap").code == 0
+    for path in (recorded / "rgb").iterdir():
+        noise = np.random.default_rng(len(path.stem)).integers(0, 255, (480, 640, 3), dtype=np.uint8)
+        cv2.imwrite(str(path), noise)
+    said = stillroom("run", recorded, *FEW[:-1], "other", "--map", "room.stillmap", "--continue")
+    assert said.code == 3
+    [error] = said.errors
+    assert "no place of room.stillmap was recognised in" in error

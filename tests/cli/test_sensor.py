@@ -32,7 +32,17 @@ def test_what_a_sequence_cannot_give_is_refused(
     assert not Path("out").exists() or not any(Path("out").iterdir())
 
 
-@pytest.mark.parametrize("command", [("inpaint",), ("calibrate", "shutter")])
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("inpaint",),
+        ("calibrate", "shutter"),
+        ("calibrate", "depth"),
+        ("bench", "ghosts"),
+        ("bench", "geometry"),
+        ("bench", "ablation"),
+    ],
+)
 def test_what_needs_depth_images_says_so(command: tuple[str, ...], stillroom: Callable, tmp_path: Path) -> None:
     said = stillroom(*command, write_kitti(tmp_path / "00"))
     assert said.code == 1

@@ -68,11 +68,26 @@ def test_the_nearest_sieve_takes_the_place(name: str, sieve: type) -> None:
 
 
 def test_of_a_chain_the_half_that_works_stays() -> None:
-    config, left_out = fit_to_sensor(configure("pspnet-slam"), Sensor.MONOCULAR)
+    config, left_out = fit_to_sensor(configure("pspnet-slam"), Sensor.STEREO)
     assert isinstance(config.dynamics, ChainConfig)
     assert isinstance(config.dynamics.first, CompensatedHomographyConfig)
     assert isinstance(config.dynamics.second, KeepAllConfig)
     assert "segments that move" in left_out
+
+
+def test_without_keypoints_with_depth_masks_alone_decide() -> None:
+    """The compensated homography finds no motion of the camera in space then, and would do nothing without a word."""
+    config, left_out = fit_to_sensor(configure("pspnet-slam"), Sensor.MONOCULAR)
+    assert isinstance(config.dynamics, ChainConfig)
+    assert isinstance(config.dynamics.first, WholeBoxesConfig)
+    assert any("the compensated homography" in text for text in left_out)
+    assert not any("the compensated homography" in text for text in fit_to_sensor(config, Sensor.STEREO)[1])
+
+
+@pytest.mark.parametrize("sensor", [Sensor.STEREO, Sensor.MONOCULAR])
+def test_masks_that_alone_decide_are_those_that_are_exported(sensor: Sensor) -> None:
+    config, _ = fit_to_sensor(configure("pspnet-slam-paper"), sensor)
+    assert isinstance(config.dynamics, WholeBoxesConfig), "a sieve that keeps all says that no pixel moves"
 
 
 def test_a_depth_image_of_the_pair_keeps_all() -> None:

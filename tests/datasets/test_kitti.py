@@ -187,3 +187,21 @@ def test_the_real_stretch_is_read_back(kitti: Path) -> None:
     path_m = np.linalg.norm(np.diff(dataset.groundtruth.positions_m, axis=0), axis=1).sum()
     assert path_m == pytest.approx(60.0, abs=1.0)
     check_dataset(dataset)
+
+
+@pytest.mark.parametrize("there", ["image_1", "image_2"])
+def test_a_folder_without_the_left_grey_images_is_told_what_it_lacks(there: str, tmp_path: Path) -> None:
+    (tmp_path / "00" / there).mkdir(parents=True)
+    with pytest.raises(DatasetError, match="00: no folder image_0/ in it; the grey pair, image_0/ and image_1/, is"):
+        open_dataset(str(tmp_path / "00"))
+
+
+def test_a_camera_file_of_a_pair_names_its_baseline(tmp_path: Path) -> None:
+    """Without it, that of a Kinect would hold, and all lengths would be too small without a word."""
+    folder, file = write_kitti(tmp_path / "00"), tmp_path / "mine.toml"
+    file.write_text(f"width = 188\nheight = 120\nfx = {F}\nfy = {F}\ncx = {CX}\ncy = {CY}\n")
+    with pytest.raises(CalibrationError, match=r"mine\.toml: 'baseline_m' is missing; all lengths"):
+        open_dataset(str(folder), camera=str(file))
+    assert open_dataset(str(folder), camera=str(file), sensor="monocular").sensor is Sensor.MONOCULAR
+    file.write_text(file.read_text() + f"baseline_m = {BASELINE_M}\n")
+    assert open_dataset(str(folder), camera=str(file)).camera.bf == pytest.approx(F * BASELINE_M)

@@ -8,7 +8,7 @@ def test_images_before_a_map_and_maps_that_were_dropped_are_said_once_each() -> 
     said = before_map({"n_before_map": 11, "two_views_refused": refused, "n_maps_dropped": 1})
     assert said == [
         "11 images have no pose: a map could not be begun yet "
-        "(two images were refused: too little parallax, 9, two motions explain the pairs, 1)",
+        "(pairs of images refused: 9 × too little parallax, 1 × two motions explain the pairs)",
         "1 map was dropped: tracking was lost soon after it began",
     ]
 

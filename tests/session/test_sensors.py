@@ -10,6 +10,7 @@ from random_map import EventfulLife, session
 from small_world import CAMERA
 
 import stillroom as sr
+from stillroom.data.map import submaps
 from stillroom.data.sensor import Sensor
 from stillroom.errors import ConfigError, FrameError, MapError
 from stillroom.pipeline import RunOptions, Source, run
@@ -54,6 +55,22 @@ def test_a_map_of_another_sensor_is_refused(
     assert f"is a map of {made_with.words} images, and a walk has {sensor.words} ones" in said
     assert path.read_bytes() == before
     assert [file.name for file in tmp_path.iterdir()] == ["room.stillmap"]
+
+
+@pytest.mark.parametrize("use", ["continue", "localize"])
+def test_a_map_that_was_dropped_as_a_whole_is_refused(use: str, tmp_path: Path) -> None:
+    path = map_of(MONOCULAR, tmp_path / "whole.stillmap")
+    world = sr.load_map(path).world
+    submaps.discard(0, world)
+    save_map(tmp_path / "room.stillmap", StoredMap(world, CAMERA, (session(),)))
+    with pytest.raises(MapError, match="holds no keyframe; there is nothing to recognise"):
+        sr.Slam("orb-slam2", CAMERA, map=tmp_path / "room.stillmap", map_use=use, sensor=MONOCULAR)
+
+
+def test_what_only_localizes_begins_no_map(tmp_path: Path) -> None:
+    path, asked = map_of(MONOCULAR, tmp_path / "room.stillmap"), ["monocular.patience=5"]
+    with sr.Slam("orb-slam2", CAMERA, map=path, map_use="localize", sensor=MONOCULAR, settings=asked) as slam:
+        assert slam.system.recovery.config.patience == 0
 
 
 def test_a_metric_map_of_another_sensor_can_be_localized_in(tmp_path: Path) -> None:
@@ -111,3 +128,30 @@ def test_with_rgbd_nothing_is_left_out() -> None:
     with sr.Slam("stillroom", CAMERA, settings=["semantics.kind=truth"]) as slam:
         assert slam.left_out == ()
         assert slam.sensor is RGBD
+
+
+def test_a_pair_that_repeats_has_the_depth_image_of_the_one_before() -> None:
+    room = sr.open_dataset("synthetic:empty,frames=20,path=halfsphere,stereo=rectified")
+    shown: list[sr.Image] = []
+
+    class Watching:
+        def on_frame(self, tracked: object, semantics: object, result: object) -> None:
+            shown.append(tracked.frame.image)  # type: ignore[attr-defined]
+
+    with sr.Slam(
+        "orb-slam2", room.camera, sensor=STEREO, settings=["stereo.dense=sgbm"], observers=[Watching()]
+    ) as slam:
+        first = room.load(0)
+        slam.process(first)
+        slam.process(first.at(1, first.timestamp_s + 0.1))
+        assert slam.system.n_repeated == 1
+    assert [image.index for image in shown] == [0, 1]
+    assert shown[1].depth_m is shown[0].depth_m
+
+
+@pytest.mark.parametrize("sensor", [STEREO, MONOCULAR])
+def test_without_depth_images_no_setting_is_named_that_makes_no_dense_map(sensor: Sensor) -> None:
+    with sr.Slam("orb-slam2", CAMERA, sensor=sensor) as slam, pytest.raises(MapError) as raised:
+        slam.dense_cloud()
+    assert "has no depth image" in str(raised.value)
+    assert "dense.kind" not in str(raised.value)

@@ -12,6 +12,7 @@ from random_map import EventfulLife, session
 from small_world import CAMERA
 
 from stillroom.data.image import RgbdImage
+from stillroom.data.sensor import Sensor
 from stillroom.errors import MapError
 from stillroom.geometry import se3
 from stillroom.storage.map_export import keyframe_trajectories, trajectories, write_colmap, write_trajectories
@@ -161,5 +162,11 @@ def test_keyframes_without_an_image_are_left_out_of_colmap(stored: StoredMap, tm
     assert {int(image) for track in tracks for image in track[::2]} <= named
     in_images = {int(point) for line in lines(model.files[1])[1::2] for point in line[2::3]} - {-1}
     assert in_images == {int(line[0]) for line in lines(model.files[2])}
-    with pytest.raises(MapError, match=r"storage\.images=true \[see troubleshooting: colmap\]"):
-        write_colmap(stored, iter(()), tmp_path)
+    for sensor, message in (
+        (Sensor.RGBD, r"storage\.images=true \[see troubleshooting: colmap\]"),
+        (Sensor.STEREO, r"storage\.images=true --set stereo\.dense=sgbm"),
+        (Sensor.MONOCULAR, "a single camera has none"),
+    ):
+        stored.world.sensor = sensor
+        with pytest.raises(MapError, match=message):
+            write_colmap(stored, iter(()), tmp_path)

@@ -4,10 +4,12 @@ import sqlite3
 from contextlib import closing
 from pathlib import Path
 
+import numpy as np
 import pytest
 from random_map import EventfulLife, assert_same_map, session
-from small_world import CAMERA
+from small_world import CAMERA, SCALES, SmallMap, SmallWorld, pose
 
+from stillroom.data.map import Map, submaps
 from stillroom.data.sensor import Sensor
 from stillroom.errors import MapError
 from stillroom.storage import StoredMap, load_map, save_map
@@ -68,3 +70,37 @@ def test_a_damaged_sensor_is_refused_in_one_line(statement: str, message: str, t
     with pytest.raises(MapError, match=message) as raised:
         load_map(path)
     assert "\n" not in str(raised.value)
+
+
+def mapped(sensor: Sensor) -> Map:
+    small = SmallMap(SmallWorld.of(0, 300), Map(SCALES, sensor))
+    for k in range(3):
+        small.add(pose(0.1 * k), depth_share=0.0)
+    return small.map
+
+
+@pytest.mark.parametrize("n_submaps", [1, 2])
+def test_a_map_of_which_a_young_one_was_dropped_is_not_damaged(n_submaps: int, tmp_path: Path) -> None:
+    world = mapped(Sensor.MONOCULAR)
+    if n_submaps == 2:
+        world.keyframes.parent[2] = -1
+        world.keyframes.submap[2] = 1
+    submaps.discard(0, world)
+    path = tmp_path / "room.stillmap"
+    save_map(path, StoredMap(world, CAMERA, (session(),)))
+    assert check_map(path) == []
+    again = load_map(path).world
+    assert again.is_empty == (n_submaps == 1)
+    for keyframe in range(3):
+        np.testing.assert_allclose(again.keyframe_pose(keyframe), world.keyframe_pose(keyframe), atol=1e-12)
+
+
+def test_a_culled_origin_of_a_sub_map_that_is_there_is_damage(tmp_path: Path) -> None:
+    """Also that of a metric map as a whole: only what a single camera begins is ever dropped."""
+    for sensor, culled in ((Sensor.MONOCULAR, [0]), (Sensor.RGBD, [0, 1, 2])):
+        world = mapped(sensor)
+        for keyframe in culled[::-1]:
+            world.remove_keyframe(keyframe)
+        path = tmp_path / f"{sensor}.stillmap"
+        save_map(path, StoredMap(world, CAMERA, (session(),)))
+        assert any("no ancestor that is alive" in problem for problem in check_map(path))

@@ -7,10 +7,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from small_world import CAMERA, SmallMap, SmallWorld, no_semantics, pose
+from small_world import CAMERA, SCALES, SmallMap, SmallWorld, no_semantics, pose
 
 from stillroom.data.image import Image, MonoImage
-from stillroom.data.map import submaps
+from stillroom.data.map import Map, submaps
 from stillroom.data.result import TrackingState
 from stillroom.data.sensor import Sensor
 from stillroom.data.trajectory import Trajectory
@@ -154,6 +154,23 @@ def test_a_sub_map_that_is_dropped_leaves_nothing_behind() -> None:
     for keyframe in range(3):
         np.testing.assert_allclose(world.keyframe_pose(keyframe), before[keyframe], atol=1e-12)
         assert world.covisibility.neighbours(keyframe) == []
+
+
+def test_a_small_map_of_an_earlier_run_is_not_dropped() -> None:
+    """A run that goes on in a map, or localizes in it, begins lost, however few keyframes the map has."""
+    small = SmallMap(SmallWorld.of(0, 300), Map(SCALES, Sensor.MONOCULAR))
+    for k in range(3):
+        small.add(pose(0.1 * k), depth_share=0.0)
+    world = small.map
+    system = build(configure("orb-slam2"), CAMERA, world=world, sensor=Sensor.MONOCULAR)
+    start = system.tracker.start
+    system.process(turned_views(1)[0].black())
+    assert len(world.alive_keyframes()) == 3
+    assert start.beginnings.n_dropped == 0
+    own = [small.add(pose(0.3), depth_share=0.0), small.add(pose(0.4), depth_share=0.0)]
+    world.keyframes.parent[3], world.keyframes.submap[3:] = -1, 1
+    assert start.starts_again(1, world), "one that this run began"
+    assert list(world.alive_keyframes()) == [0, 1, 2], own
 
 
 def run(sequence: str, images: Sequence[int], sensor: Sensor, *settings: str) -> tuple[System, Trajectory, int]:

@@ -1,5 +1,6 @@
 """The sparse map's picture: a PNG of the promised size with points, keyframes and path at their places."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -109,3 +110,12 @@ def test_a_place_that_cannot_be_written_is_named(tmp_path: Path) -> None:
     (tmp_path / "taken").write_text("")
     with pytest.raises(StillroomError, match=r"taken/.*cannot be written"):
         draw_sparse_map(tmp_path / "taken" / "sparse.png", wall(), np.eye(4)[None])
+
+
+@pytest.mark.parametrize(("is_metric", "unit"), [(True, "m"), (False, "units of the map")])
+def test_a_map_up_to_scale_is_not_drawn_in_metres(is_metric: bool, unit: str, tmp_path: Path) -> None:
+    path = replace(walk(), is_metric=is_metric)
+    draw_sparse_map(tmp_path / "map.svg", wall(), path.T_world_cam[::20], path)
+    said = (tmp_path / "map.svg").read_text(encoding="utf-8")
+    for name in ("right", "forward", "height"):
+        assert f"{name} [{unit}]" in said

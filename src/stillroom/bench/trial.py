@@ -11,6 +11,7 @@ from stillroom.data.image import Image
 from stillroom.data.result import FrameSummary
 from stillroom.data.semantics import Semantics
 from stillroom.data.trajectory import Trajectory
+from stillroom.datasets.recording import sensor_of
 from stillroom.dense.no_dense_map import NoDenseMapConfig
 from stillroom.evaluation.report import Evaluation, percent
 from stillroom.evaluation.smoothness import Smoothness
@@ -185,7 +186,7 @@ def attempt(
         StillroomError: Something that the run needs is wrong.
     """
     schedule = schedule or InOrder()
-    segmenter = segmenter_of(config, dataset.camera, schedule)
+    segmenter = segmenter_of(config, dataset.camera, schedule, sensor_of(dataset))
     noting = noting_of(silenced(segmenter, withheld) if withheld else segmenter)
     options = RunOptions(root=None, pictures=0, segmenter=noting, observe=observe, schedule=schedule, speed=speed)
     outcome = run(dataset, replace(config, seed=seed), options, progress)

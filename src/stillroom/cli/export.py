@@ -57,7 +57,10 @@ def export(
     results = results_folder(folder or DEFAULT_FOLDER)
     if not (results / NAME).exists():
         shown = folder or DEFAULT_FOLDER
-        raise MapError(f"{shown}: this run has no dense map; run with --method oc-slam or --set dense.kind=voxels")
+        raise MapError(
+            f"{shown}: this run has no dense map; run with --method oc-slam or --set dense.kind=voxels; "
+            "pairs of images need --set stereo.dense=sgbm too, and those of a single camera make none"
+        )
     cloud = load_cloud(results / NAME)
     if len(cloud) == 0:
         raise MapError(f"{results / NAME}: the dense map is empty; there is nothing to export")

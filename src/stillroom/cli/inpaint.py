@@ -90,10 +90,12 @@ def _paint(chosen: "SlamConfig", source: "Source", wanted: "InpaintingRecorderCo
 
     show_log()
     dataset = source.open()
-    if not has_depth_image(chosen, sensor_of(dataset)):
-        why = NO_DEPTH_IMAGE[sensor_of(dataset)]
+    kind = sensor_of(dataset)
+    if not has_depth_image(chosen, kind):
+        why = NO_DEPTH_IMAGE[kind]
         raise ConfigError(f"{dataset.name}: painting over what moves needs depth images, and {why}")
-    segmenter = segmenter_of(chosen, dataset.camera)  # now: a missing file is reported before kernels are compiled
+    # Now: a missing file is reported before kernels are compiled.
+    segmenter = segmenter_of(chosen, dataset.camera, sensor=kind)
     folder = chosen_folder(out) if out is not None else new_folder(Path("results"), chosen.method, dataset.name)
     say(f"{chosen.method} on {dataset.name}: {len(dataset)} images; camera: {dataset.camera_source}")
     ensure_warm(STDERR, rendered(dataset) is not None)

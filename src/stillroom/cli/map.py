@@ -82,7 +82,7 @@ def export(
     elif format_ is None and has_images:
         names = [TRAJECTORY, COLMAP]
     if COLMAP in names and not has_images:
-        raise MapError(f"{path}: {no_images('a COLMAP model')}")
+        raise MapError(f"{path}: {no_images('a COLMAP model', stored.world.sensor)}")
     folder = _made(out or path.with_suffix(""))
     for name in names:
         if name in (TRAJECTORY, COLMAP):

@@ -13,6 +13,7 @@ from stillroom.dense.no_dense_map import NoDenseMapConfig
 from stillroom.dynamics.chain import KeepAllConfig, KeepAllKeypointsConfig
 from stillroom.dynamics.cluster_sieve import ClusterSieveConfig
 from stillroom.dynamics.epipolar_sieve import EpipolarConfig
+from stillroom.dynamics.homography.homography_sieve import CompensatedHomographyConfig
 from stillroom.dynamics.multiview.multiview_sieve import MultiViewConfig
 from stillroom.dynamics.paper_clusters import PaperClustersConfig
 from stillroom.dynamics.paper_epipolar import PaperEpipolarConfig
@@ -50,6 +51,8 @@ def fit_to_sensor(config: SlamConfig, sensor: Sensor) -> tuple[SlamConfig, tuple
         return config, ()
     left_out: list[str] = []
     fitted = config if has_depth_image(config, sensor) else _without_depth_image(config, left_out)
+    if not sensor.is_metric:
+        fitted = replace(fitted, dynamics=_without_keypoint_depth(fitted.dynamics, left_out))
     if _is_static_world(fitted) and not _is_static_world(config):
         raise ConfigError(
             f"{config.method}: finds what moves in depth images alone, and {NO_DEPTH_IMAGE[sensor]}; "
@@ -114,7 +117,7 @@ def _sieve(sieve: MatchSieveConfig, left_out: list[str]) -> MatchSieveConfig:
             return PaperEpipolarConfig()
         case PaperAntsConfig():
             left_out.append("the geometry of projected features (masks alone decide)")
-            return KeepAllConfig()
+            return WholeBoxesConfig()
         case MovedSegmentsConfig():
             left_out.append("segments that move")
             return KeepAllConfig()
@@ -122,6 +125,20 @@ def _sieve(sieve: MatchSieveConfig, left_out: list[str]) -> MatchSieveConfig:
         return sieve
     left_out.append(f"the sieve {type(sieve).__name__}")
     return KeepAllConfig()
+
+
+def _without_keypoint_depth(sieve: MatchSieveConfig, left_out: list[str]) -> MatchSieveConfig:
+    """Return a match sieve that does something where no keypoint has a depth."""
+    match sieve:
+        case ChainConfig():
+            first = _without_keypoint_depth(sieve.first, left_out)
+            second = _without_keypoint_depth(sieve.second, left_out)
+            unchanged = first is sieve.first and second is sieve.second
+            return sieve if unchanged else replace(sieve, first=first, second=second)
+        case CompensatedHomographyConfig():
+            left_out.append("the compensated homography (it needs keypoints with depth; masks alone decide)")
+            return WholeBoxesConfig()
+    return sieve
 
 
 def _without_structured_light(config: SlamConfig, left_out: list[str]) -> SlamConfig:

@@ -45,8 +45,8 @@ DEFAULT_BASELINE_M = 0.075
 """Of a Kinect's projector and camera; what `bf` = 40 comes to on TUM's cameras."""
 
 
-def read_camera(path: Path, has_depth: bool = True) -> Camera:
-    """Read a camera file; that of a camera without depth images may lack the factor.
+def read_camera(path: Path, has_depth: bool = True, is_pair: bool = False) -> Camera:
+    """Read a camera file; that of a camera without depth images may lack the factor, that of a pair has a baseline.
 
     Raises:
         CalibrationError: The file is missing or is no TOML; a key is unknown, missing or of the wrong type; both
@@ -61,6 +61,8 @@ def read_camera(path: Path, has_depth: bool = True) -> Camera:
     missing = [key for key in required if key not in values]
     if missing:
         raise CalibrationError(f"{path}: '{missing[0]}' is missing; a camera needs {', '.join(required)}")
+    if is_pair and "bf" not in values and "baseline_m" not in values:
+        raise CalibrationError(f"{path}: 'baseline_m' is missing; all lengths that a pair measures depend on it")
     if "bf" in values and "baseline_m" in values:
         raise CalibrationError(f"{path}: both 'bf' and 'baseline_m' are given; leave one out")
     width, height = _integer(path, values, "width"), _integer(path, values, "height")
@@ -311,15 +313,16 @@ def choose_range(folder: Path, option: str | None) -> float:
     return read_range(path) if path is not None and path.is_file() else math.inf
 
 
-def camera_of(option: str, has_depth: bool = True) -> tuple[Camera, str]:
+def camera_of(option: str, has_depth: bool = True, is_pair: bool = False) -> tuple[Camera, str]:
     """Return the calibration that a name or the path of a camera file stands for, and say in one line which it is.
 
     Raises:
-        CalibrationError: There is no such name or file, or the file makes no camera.
+        CalibrationError: There is no such name or file, or the file makes no camera; one of a pair is asked for, and
+            there is no baseline.
     """
     path = _file_of(option)
     if path is not None:
-        return read_camera(path, has_depth), f"the camera file given: {path}"
+        return read_camera(path, has_depth, is_pair), f"the camera file given: {path}"
     name, camera = named_camera(option)
     return camera, f"'{name}', as given"
 

@@ -188,7 +188,8 @@ def _is_euroc(asked: SequenceRequest) -> bool:
     folder = asked.folder
     if folder is None:
         return False
-    return (folder / BODY / LEFT).is_dir() or (folder.name == BODY and (folder / LEFT).is_dir())
+    bodies = [folder / BODY, *([folder] if folder.name == BODY else [])]
+    return any((body / camera).is_dir() for body in bodies for camera in (LEFT, RIGHT))
 
 
 def _open(asked: SequenceRequest, camera: str | None, fps: float | None) -> Dataset:

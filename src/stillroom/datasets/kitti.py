@@ -28,6 +28,8 @@ from stillroom.protocols import Dataset
 
 log = logging.getLogger(__name__)
 LEFT, RIGHT = "image_0", "image_1"
+COLOURS = "image_2", "image_3"
+"""The pair in colour, a download of its own, which is not read."""
 CALIBRATION_NAME, TIMES_NAME, POSES_NAME = "calib.txt", "times.txt", "poses.txt"
 NAMED_ROW = re.compile(r"(\w+)\s*:\s*(.*)")
 SAME_PX = 1e-3
@@ -62,7 +64,7 @@ def open_kitti(
         raise DatasetError(f"{folder}: no {RIGHT}/ in it; a stereo sequence needs the right images")
     is_pair = has_pair and sensor is not Sensor.MONOCULAR
     size = _size(left)
-    given = None if camera is None else camera_of(camera, has_depth=False)
+    given = None if camera is None else camera_of(camera, has_depth=False, is_pair=is_pair)
     calibration, source = given or (_camera(folder / CALIBRATION_NAME, size, is_pair), f"its own {CALIBRATION_NAME}")
     if given is not None and is_pair and calibration.is_distorted:
         raise CalibrationError(f"--camera {camera}: has a distortion, and the pairs of {name} are rectified")
@@ -92,7 +94,9 @@ def open_kitti(
 def _images(folder: Path) -> list[Path]:
     """Return the images of a folder in the order of their names."""
     if not folder.is_dir():
-        raise DatasetError(f"{folder.parent}: no folder {folder.name}/ in it")
+        raise DatasetError(
+            f"{folder.parent}: no folder {folder.name}/ in it; the grey pair, {LEFT}/ and {RIGHT}/, is read"
+        )
     files = [p for p in folder.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and not p.name.startswith(HIDDEN)]
     if not files:
         raise DatasetError(f"{folder}: no images in it; is the sequence complete?")
@@ -235,7 +239,8 @@ def _read_poses(path: Path, timed: _Timed) -> Trajectory:
 
 
 def _is_kitti(asked: SequenceRequest) -> bool:
-    return asked.folder is not None and (asked.folder / LEFT).is_dir()
+    # One without the left images is told what it lacks.
+    return asked.folder is not None and any((asked.folder / name).is_dir() for name in (LEFT, RIGHT, *COLOURS))
 
 
 def _open(asked: SequenceRequest, camera: str | None, fps: float | None) -> Dataset:

@@ -51,7 +51,7 @@ class RunOutcome:
         pictures: What was drawn.
         ornaments: Counts the pictures that could not be drawn.
         map_file: Where the map was written; None if it was not.
-        localized_in: The map that was only tracked against; None where the run made a map of its own.
+        localized_in: The map of earlier runs in which it began; None where the run made a map of its own.
         masks: The folder of the masks of dynamic pixels of each frame; None if none were written.
         doubts: What is probably wrong with calibration, depth or times; each was said in the log.
         seen: What the images were like.
@@ -101,8 +101,13 @@ class RunOutcome:
     @property
     def why_untracked(self) -> str | None:
         """The likely reason, in one line, for which no image has a pose; None where one has, or none was given."""
-        if self.n_given == 0 or any(result.T_world_cam is not None for result in self.system.results):
+        had_pose = any(result.T_world_cam is not None for result in self.system.results)
+        if self.n_given == 0 or (had_pose and not self.system.map.is_empty):
             return None
+        if had_pose:
+            return (
+                "every map that was begun was lost soon after, and dropped; does the camera move slowly and steadily?"
+            )
         return likely_reason(self.seen, self.system.results, self.localized_in, self.sensor)
 
     @property

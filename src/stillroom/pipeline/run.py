@@ -157,7 +157,7 @@ def _run(
         outcome = RunOutcome(config.method, folder, slam.system, slam.clock, doubts=slam.doubts, warnings=warnings)
         outcome.sensor, outcome.left_out = slam.sensor, slam.left_out
         outcome.map_file, outcome.masks = slam.map_file, options.masks
-        outcome.localized_in = None if options.map is None else options.map.read_only
+        outcome.localized_in = None if options.map is None else options.map.earlier
         if folder is not None:
             results.write_config(folder, origin, slam.config, options)
         slam.observe(Ornamental(_recorder(folder, intake, options.pictures), outcome.ornaments))

@@ -22,7 +22,8 @@ def before_map(figures: Mapping[str, Any]) -> list[str]:
     n_before, n_dropped = figures.get("n_before_map", 0), figures.get("n_maps_dropped", 0)
     if n_before:
         refused = figures.get("two_views_refused", {})
-        why = f" (two images were refused: {', '.join(f'{why}, {n}' for why, n in refused.items())})" if refused else ""
+        counts = ", ".join(f"{n} × {why}" for why, n in refused.items())
+        why = f" (pairs of images refused: {counts})" if refused else ""
         images = "1 image has" if n_before == 1 else f"{n_before} images have"
         said.append(f"{images} no pose: a map could not be begun yet{why}")
     if n_dropped:

@@ -56,7 +56,7 @@ def likely_reason(
     Args:
         seen: What the images were like.
         results: How tracking went.
-        localized_in: The map that was only tracked against; None for a run that made its own.
+        localized_in: The map of earlier runs in which it began; None for a run that made its own.
         sensor: What kind of camera took the images.
     """
     if seen.n_images == 0:

@@ -44,9 +44,9 @@ class MapFile:
     use: MapUse = MapUse.NEW
 
     @property
-    def read_only(self) -> Path | None:
-        """The file, where it is only tracked against; None where it is written."""
-        return self.path if self.use is MapUse.LOCALIZE else None
+    def earlier(self) -> Path | None:
+        """The file, where it is of earlier runs; None where it is made."""
+        return None if self.use is MapUse.NEW else self.path
 
     def described(self) -> dict[str, str]:
         """Return what config.toml says of it."""
@@ -72,6 +72,7 @@ class MapFile:
             keyframes=replace(config.keyframes, enabled=False),
             mapping=replace(config.mapping, max_final_keyframes=0),
             recovery=replace(config.recovery, patience=0),
+            monocular=replace(config.monocular, patience=0),  # which takes the place of the one above
             loops=replace(config.loops, enabled=False),
             dense=NoDenseMapConfig(),
         )
@@ -147,7 +148,7 @@ def _loaded(path: Path, config: SlamConfig) -> StoredMap:
             f"{path}: was made with {was.count} pyramid levels of {was.factor}, not {asked.count} of {asked.factor}; "
             f"--set features.n_levels={was.count} --set features.scale_factor={was.factor}"
         )
-    if len(stored.world.keyframes) == 0:
+    if stored.world.is_empty:
         raise MapError(f"{path}: holds no keyframe; there is nothing to recognise; make it again")
     return stored
 
@@ -165,11 +166,17 @@ def _require_sensor(file: MapFile, made_with: Sensor, sensor: Sensor, sequence: 
 
 
 def _require_camera(path: Path, made_with: Camera, camera: Camera, sequence: str) -> None:
-    if made_with != camera:
+    if _projection_of(made_with) != _projection_of(camera):
         raise MapError(
             f"{path}: was made with another camera ({_described(made_with)}) than that of {sequence} "
             f"({_described(camera)}); one map holds one camera's keyframes; --localize works with any"
         )
+
+
+def _projection_of(camera: Camera) -> Camera:
+    """Return a camera with what a map file keeps of it: where points are seen, not how rows and depth are measured."""
+    plain = Camera(camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy, camera.distortion)
+    return replace(plain, depth_factor=camera.depth_factor, bf=camera.bf)
 
 
 def _described(camera: Camera) -> str:

@@ -12,7 +12,7 @@ import numpy as np
 
 from stillroom.compiled import said_when_compiling
 from stillroom.config import SlamConfig, with_overrides
-from stillroom.config.sensors import fit_to_sensor
+from stillroom.config.sensors import NO_DEPTH_IMAGE, fit_to_sensor, has_depth_image
 from stillroom.data.dense_cloud import DenseCloud
 from stillroom.data.image import Image, StereoImage
 from stillroom.data.map import Map
@@ -240,6 +240,8 @@ class Slam:
         """
         cloud = self.system.dense_cloud()
         if cloud is None:
+            if not has_depth_image(self.config, self.sensor):
+                raise MapError(f"{self.config.method} makes no dense map here: {NO_DEPTH_IMAGE[self.sensor]}")
             raise MapError(f"{self.config.method} makes no dense map here; the setting 'dense.kind=voxels' makes one")
         return cloud
 
@@ -266,8 +268,11 @@ class Slam:
         if self._newest.seen is None:
             return None
         tracked, semantics, result = self._newest.seen
-        if result.state is not TrackingState.OK or not _is_same(tracked.frame.image, image):
+        before = tracked.frame.image
+        if result.state is not TrackingState.OK or not _is_same(before, image):
             return None
+        if isinstance(image, StereoImage) and isinstance(before, StereoImage):
+            image = replace(image, depth_of_pair=before.depth_of_pair)  # observers see it as every other
         if self.system.n_repeated == 0:
             text = f"image {image.index} is the one before it once more; such images get its pose, and are counted"
             self.doubt([Doubt("repeated-images", text)])

@@ -42,7 +42,10 @@ def _problems_of_keyframes(world: Map) -> Iterator[str]:
 
 
 def _hanging_nowhere(world: Map) -> I64:
-    """Return the culled keyframes without an ancestor that is alive."""
+    """Return the culled keyframes without an ancestor that is alive.
+
+    Those of a sub-map that a single camera began and that was dropped as a whole have none, and need none.
+    """
     table = world.keyframes
     now = np.arange(len(table))
     for _ in range(len(table) + 1):
@@ -50,7 +53,8 @@ def _hanging_nowhere(world: Map) -> I64:
         if not culled.any():
             break
         now[culled] = table.parent[now[culled]]
-    return np.flatnonzero((now < 0) | ~table.is_alive[now])
+    is_dropped = (now < 0) & ~np.isin(table.submap, table.submap[table.is_alive]) & (not world.sensor.is_metric)
+    return np.flatnonzero(((now < 0) | ~table.is_alive[now]) & ~is_dropped)
 
 
 def _problems_of_links(world: Map) -> Iterator[str]:

@@ -10,6 +10,7 @@ import numpy as np
 from stillroom.data.image import Image
 from stillroom.data.map import Map, submaps
 from stillroom.data.replacing import cannot_be_written, replace_text, replacing
+from stillroom.data.sensor import Sensor
 from stillroom.data.trajectory import Trajectory
 from stillroom.errors import MapError
 from stillroom.geometry import se3
@@ -73,7 +74,7 @@ def write_colmap(stored: StoredMap, images: Iterable[tuple[int, Image]], folder:
         has_image[keyframe] = True
     shown = alive[has_image[alive]]
     if len(shown) == 0:
-        raise no_images("a COLMAP model")
+        raise no_images("a COLMAP model", world.sensor)
     points = np.flatnonzero(world.points.is_alive & (world.points.n_keyframes > 0))
     points = points[submaps.of_points(points, world) == main]
     place, rows = world.observations(points)
@@ -85,12 +86,14 @@ def write_colmap(stored: StoredMap, images: Iterable[tuple[int, Image]], folder:
     return ColmapModel(files, folder / IMAGES, len(shown), len(points), len(alive) - len(shown))
 
 
-def no_images(wanted: str) -> MapError:
-    """Return what is to be said of a map that keeps no images where they are needed."""
-    return MapError(
-        f"the map keeps no images to make {wanted} of; make it again with --set storage.images=true "
-        "[see troubleshooting: colmap]"
-    )
+def no_images(wanted: str, sensor: Sensor) -> MapError:
+    """Return what is to be said of a map of a sensor that keeps no images where they are needed."""
+    again = "make it again with --set storage.images=true"
+    if sensor is Sensor.STEREO:
+        again += " --set stereo.dense=sgbm: they are kept with their depth"
+    elif sensor is Sensor.MONOCULAR:
+        again = "they are kept with their depth, and a single camera has none"
+    return MapError(f"the map keeps no images to make {wanted} of; {again} [see troubleshooting: colmap]")
 
 
 class _Colours:

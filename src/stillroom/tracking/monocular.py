@@ -75,7 +75,7 @@ class MonocularConfig:
 
     def build(self, parts: Parts, sieve: MatchSieve) -> "TwoViewStart":
         """Return the stage that begins maps; it asks the sieve what moves."""
-        return TwoViewStart(self, parts.camera, sieve, parts.seed)
+        return TwoViewStart(self, parts.camera, sieve, parts.seed, len(parts.world.keyframes))
 
 
 @dataclass(frozen=True)
@@ -90,9 +90,12 @@ class _Held:
 class TwoViewStart:
     """Begins a map with two images."""
 
-    def __init__(self, config: MonocularConfig, camera: Camera, sieve: MatchSieve, seed: int) -> None:
-        """Start without an image."""
+    def __init__(
+        self, config: MonocularConfig, camera: Camera, sieve: MatchSieve, seed: int, first_keyframe: int = 0
+    ) -> None:
+        """Start without an image; keyframes before the first one are those of earlier runs."""
         self.config, self.camera, self.sieve, self.seed = config, camera, sieve, seed
+        self._first_keyframe = first_keyframe
         self._refusals: Counter[Refusal] = Counter()
         self._n_dropped = 0
         self._held: _Held | None = None
@@ -152,9 +155,10 @@ class TwoViewStart:
     def starts_again(self, submap: int, world: Map) -> bool:
         """Drop a sub-map in which tracking was lost, if it is too young to be trusted; return whether it was."""
         keyframes = world.keyframes
-        n_alive = int(np.count_nonzero(keyframes.is_alive & (keyframes.submap == submap)))
-        if not 0 < n_alive <= self.config.start_again:
-            return False
+        alive = np.flatnonzero(keyframes.is_alive & (keyframes.submap == submap))
+        n_alive = len(alive)
+        if not 0 < n_alive <= self.config.start_again or alive[0] < self._first_keyframe:
+            return False  # what an earlier run has mapped is not this one's to drop, however small it is
         submaps.discard(submap, world)
         self._held = None
         self._n_dropped += 1

@@ -70,7 +70,7 @@ def draw_sparse_map(
         path: The file to write: PNG, 1800 by 720 pixels, or SVG or PDF by its suffix.
         points_m: Map points (P, 3) [m, world].
         T_world_keyframes: Poses of the keyframes (K, 4, 4), in order of time; at least one.
-        trajectory: The camera's path, if it is to be drawn.
+        trajectory: The camera's path, if it is to be drawn; where it is up to scale, so are the axes.
         age_s: When each point was first seen (P,) [s]; points are coloured by it. None: by their height.
         title: Shown above.
 
@@ -85,11 +85,12 @@ def draw_sparse_map(
     corners_m = np.einsum("kij,cj->kci", T_world_keyframes[:, :3, :3], size_m * FRUSTUM[list(STROKE)])
     frusta = axes.upright(corners_m + T_world_keyframes[:, None, :3, 3])
     walked = np.zeros((0, 3)) if trajectory is None else axes.upright(trajectory.positions_m)
-    values, label = (points[:, 2], "height [m]") if age_s is None else (np.asarray(age_s), "first seen [s]")
+    unit = "m" if trajectory is None or trajectory.is_metric else "units of the map"
+    values, label = (points[:, 2], f"height [{unit}]") if age_s is None else (np.asarray(age_s), "first seen [s]")
     with picture(path, *SIZE_IN) as figure:
         above, slanted = figure.subplots(1, 2, width_ratios=(1.0, 1.3))
         _draw(above, points, values, frusta, walked)
-        above.set(xlabel="right [m]", ylabel="forward [m]", title=title)
+        above.set(xlabel=f"right [{unit}]", ylabel=f"forward [{unit}]", title=title)
         _limit(above, low, high)
         oblique = _oblique()
         _draw_ground(slanted, low, high, oblique)

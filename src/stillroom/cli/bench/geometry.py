@@ -50,7 +50,7 @@ def geometry(
     trial = GeometryTrialConfig(network=network, homography=combining.homography_of(config), picture_of=picture_of)
     bench = Bench("geometry", out, tables)
     for sequence in sequences:
-        dataset = bench.open(Source(sequence, camera, frames=frames))
+        dataset = bench.open(Source(sequence, camera, frames=frames), reads_depth=True)
         warm_up()  # also when they are compiled: loading must not count for the first image
 
         for table in bench.each({method: config}, _measuring(bench, dataset, trial)):
@@ -98,7 +98,7 @@ def ablation(
     configs = _chosen(combining.ablation(configure(method, None, settings or ())), only)
     bench = Bench("ablation", out, tables)
     for sequence in sequences:
-        dataset = bench.open(Source(sequence, camera, frames=frames))
+        dataset = bench.open(Source(sequence, camera, frames=frames), reads_depth=True)
         room = rendered(dataset)
         things = None if room is None else MovingThings(room)
         table = bench.each(configs, _ablating(bench, dataset, runs, things))

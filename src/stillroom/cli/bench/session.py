@@ -16,8 +16,9 @@ from stillroom.cli.output import STDERR, FrameBar, print_lines, print_table, say
 from stillroom.cli.tables import FORMS, write_table
 from stillroom.cli.warmup import ensure_warm
 from stillroom.config import SlamConfig
-from stillroom.datasets.recording import rendered
-from stillroom.errors import StillroomError
+from stillroom.data.sensor import Sensor
+from stillroom.datasets.recording import rendered, sensor_of
+from stillroom.errors import ConfigError, StillroomError
 from stillroom.pipeline import Source
 from stillroom.pipeline.ornaments import ending_nothing
 from stillroom.protocols import Dataset
@@ -60,9 +61,15 @@ class Bench:
         self.bar = FrameBar(STDERR)
         self._stopped = False
 
-    def open(self, source: Source) -> Dataset:
-        """Open a sequence and make sure that the kernels are compiled."""
+    def open(self, source: Source, reads_depth: bool = False) -> Dataset:
+        """Open a sequence and make sure that the kernels are compiled.
+
+        Raises:
+            ConfigError: What is measured reads depth images, and the sequence has none.
+        """
         dataset = source.open()
+        if reads_depth and sensor_of(dataset) is not Sensor.RGBD:
+            raise ConfigError(f"{dataset.name}: has {sensor_of(dataset).words} images; this compares depth images")
         ensure_warm(STDERR, rendered(dataset) is not None)
         return dataset
 

@@ -57,7 +57,7 @@ def ghosts(
     """
     config = configure(method, None, settings or ())
     bench = Bench("ghosts", out, tables)
-    dataset = bench.open(Source(sequence, camera))
+    dataset = bench.open(Source(sequence, camera), reads_depth=True)
     chosen = stretches(dataset, reference, mapped)
 
     def measure(name: str, config: SlamConfig) -> Ghosts:

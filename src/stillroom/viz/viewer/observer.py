@@ -11,7 +11,7 @@ from stillroom.data.map import Map
 from stillroom.data.result import FrameResult, Tracked
 from stillroom.data.semantics import Semantics
 from stillroom.data.trajectory import Trajectory
-from stillroom.geometry.align import align_poses
+from stillroom.geometry.align import align, align_poses
 from stillroom.geometry.arrays import F64, I32
 from stillroom.viz.viewer.blueprint import Eye, arranged
 from stillroom.viz.viewer.recording import Recording
@@ -180,7 +180,8 @@ class RunViewer:
 def truth_beside(path: Trajectory, truth: Trajectory) -> Trajectory | None:
     """Return the ground truth of the times of a path, moved to lie along it; None where they share no time.
 
-    Positions and rotations align them, so that this is well determined from the first frame on.
+    Positions and rotations align them, so that this is well determined from the first frame on. Beside a path that is
+    up to scale it has the path's lengths.
     """
     if len(path) == 0 or len(truth) == 0:
         return None
@@ -188,9 +189,12 @@ def truth_beside(path: Trajectory, truth: Trajectory) -> Trajectory | None:
     near = np.abs(truth.timestamps_s[nearest] - path.timestamps_s) <= TUM_MAX_GAP_S
     if not near.any():
         return None
-    T_world_truth = align_poses(truth.T_world_cam[nearest[near]], path.T_world_cam[near])
+    T_truth_cam = truth.T_world_cam.copy()
+    if not path.is_metric:
+        T_truth_cam[:, :3, 3] *= align(truth.positions_m[nearest[near]], path.positions_m[near], with_scale=True).scale
+    T_world_truth = align_poses(T_truth_cam[nearest[near]], path.T_world_cam[near])
     first, last = int(nearest[near][0]), int(nearest[near][-1]) + 1
-    moved: F64 = T_world_truth @ truth.T_world_cam[first:last]
+    moved: F64 = T_world_truth @ T_truth_cam[first:last]
     return Trajectory(truth.timestamps_s[first:last], moved)
 
 

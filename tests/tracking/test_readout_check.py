@@ -143,6 +143,23 @@ def test_what_was_found_before_the_verdict_is_found_again() -> None:
         assert np.abs(T @ T_world_cam - np.eye(4)).max() < 5e-4
 
 
+def test_a_keyframe_that_an_earlier_run_made_of_the_same_image_stays_as_it_is() -> None:
+    """As where a recording is localized in the map that was made of it."""
+    tracking = Tracking(0.0)
+    world, (frame, seen) = tracking.small.map, look(1, 0.0)
+    keyframe = world.add_keyframe(frame, where(1 / 30.0), tracking.small.id_of[seen], frame.is_static, 0)
+    px, T_world_cam = world.keypoints.px + 1.0, world.keyframes.T_world_cam.copy()
+    world.keypoints.px[:] = px
+    tracking.shutter.remember(replace(tracking.track(1), reference_keyframe=keyframe), world)
+    for k in range(2, N_FRAMES):
+        tracking.track(k)
+    assert tracking.shutter.found is not None
+    assert tracking.shutter.found.as_one
+    assert tracking.shutter.put_back() == []
+    np.testing.assert_array_equal(world.keypoints.px, px)
+    np.testing.assert_array_equal(world.keyframes.T_world_cam, T_world_cam)
+
+
 def rows_at(time_s: float, T_world_cam: np.ndarray, n_jumps: int = 0) -> Rows:
     return Rows(time_s, T_world_cam, n_jumps, np.eye(12), np.zeros(12), np.zeros(6))
 

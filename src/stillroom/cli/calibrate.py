@@ -103,7 +103,7 @@ def _opened(
     chosen = configure(method or (STATIC if config is None else None), config, settings or (), seed)
     dataset = Source(sequence, camera, fps, frames).open()
     if sensor_of(dataset) is not Sensor.RGBD:
-        raise ConfigError(f"{dataset.name}: has no depth images, from which a readout is told")
+        raise ConfigError(f"{dataset.name}: has no depth images, and only RGB-D recordings are calibrated")
     ensure_warm(STDERR, rendered(dataset) is not None)
     bar = FrameBar(STDERR)
     bar.label = "calibrating"

@@ -150,7 +150,8 @@ class System:
         final = self._as_trajectory([result.timestamp_s for result in placed], poses)
         if not self.prior.enabled:
             return final
-        return replace(final, T_world_cam=smoothed(*_as_arrays(final, placed), self.prior))
+        known = _as_arrays(final, [result.n_agreeing_finally for result in placed])
+        return replace(final, T_world_cam=smoothed(*known, self.prior))
 
     def online_trajectory(self) -> Trajectory:
         """Return the poses as `process` returned them, of frames that were in the main sub-map at that moment."""
@@ -165,7 +166,7 @@ class System:
         main = self.main_submap
         placed = [result for result in self.results if result.T_world_cam is not None and result.submap == main]
         online = self.online_trajectory()
-        return replace(online, T_world_cam=lagged(*_as_arrays(online, placed), self.prior))
+        return replace(online, T_world_cam=lagged(*_as_arrays(online, [r.n_agreeing for r in placed]), self.prior))
 
     def keyframe_trajectory(self) -> Trajectory:
         """Return the poses of this run's keyframes in the main sub-map; those of earlier runs are left out."""
@@ -444,7 +445,6 @@ def segmenter_of(
     return in_pixels_of(config.semantics, camera.pixel_scale).build(parts)
 
 
-def _as_arrays(trajectory: Trajectory, placed: list[FrameSummary]) -> tuple[F64, F64, F64]:
+def _as_arrays(trajectory: Trajectory, n_agreeing: list[int]) -> tuple[F64, F64, F64]:
     """Return times (N,) and poses (N, 4, 4) of a trajectory, and how many points agree with each (N,)."""
-    n_agreeing = np.array([result.n_agreeing for result in placed], dtype=np.float64)
-    return trajectory.timestamps_s, trajectory.T_world_cam, n_agreeing
+    return trajectory.timestamps_s, trajectory.T_world_cam, np.array(n_agreeing, dtype=np.float64)

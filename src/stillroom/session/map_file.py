@@ -165,7 +165,15 @@ def _require_sensor(file: MapFile, made_with: Sensor, sensor: Sensor, sequence: 
 
 
 def _require_camera(path: Path, made_with: Camera, camera: Camera, sequence: str) -> None:
-    if made_with != camera:
+    # The file keeps how the camera sees, not how its rows are read and its depth is corrected.
+    kept = replace(
+        camera,
+        readout_s=made_with.readout_s,
+        depth_noise=made_with.depth_noise,
+        depth_scale=made_with.depth_scale,
+        depth_offset_s=made_with.depth_offset_s,
+    )
+    if made_with != kept:
         raise MapError(
             f"{path}: was made with another camera ({_described(made_with)}) than that of {sequence} "
             f"({_described(camera)}); one map holds one camera's keyframes; --localize works with any"

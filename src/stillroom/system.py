@@ -44,7 +44,7 @@ from stillroom.protocols import (
     Schedule,
     Segmenter,
 )
-from stillroom.schedule import InOrder, Worker
+from stillroom.schedule import Done, InOrder, Worker
 from stillroom.storage.keeper import NoKeeper
 from stillroom.tracking.flow_tracking import FlowTracking, OrbAlways
 from stillroom.tracking.keyframe_policy import KeyframePolicy
@@ -85,6 +85,7 @@ class System:
     first_keyframe: int = 0
     n_repeated: int = 0
     _ahead: deque[tuple[Image, Image, Pending[Frame] | None, Perceived]] = field(default_factory=deque)
+    _adjusted: Pending[None] = field(default_factory=partial(Done, None))  # keyframes that were put back
 
     def process(self, image: Image) -> FrameResult:
         """Track one image; images come in order of time."""
@@ -149,7 +150,8 @@ class System:
         final = self._as_trajectory([result.timestamp_s for result in placed], poses)
         if not self.prior.enabled:
             return final
-        return replace(final, T_world_cam=smoothed(*_as_arrays(final, placed), self.prior))
+        known = _as_arrays(final, [result.n_agreeing_finally for result in placed])
+        return replace(final, T_world_cam=smoothed(*known, self.prior))
 
     def online_trajectory(self) -> Trajectory:
         """Return the poses as `process` returned them, of frames that were in the main sub-map at that moment."""
@@ -164,7 +166,7 @@ class System:
         main = self.main_submap
         placed = [result for result in self.results if result.T_world_cam is not None and result.submap == main]
         online = self.online_trajectory()
-        return replace(online, T_world_cam=lagged(*_as_arrays(online, placed), self.prior))
+        return replace(online, T_world_cam=lagged(*_as_arrays(online, [r.n_agreeing for r in placed]), self.prior))
 
     def keyframe_trajectory(self) -> Trajectory:
         """Return the poses of this run's keyframes in the main sub-map; those of earlier runs are left out."""
@@ -194,6 +196,7 @@ class System:
             self.schedule.submit(Worker.MAPPING, self.mapper.finish)
         finally:
             self.schedule.close()
+        self._found_again()
         self.results = self.last_look.again(self.results)
 
     def _begun(self, image: Image) -> tuple[Image, Pending[Frame] | None, Perceived]:
@@ -284,15 +287,21 @@ class System:
 
     def _revised(self, tracked: Tracked) -> Tracked:
         """Return the frame, and correct earlier ones, after it turned out that they were found in a wrong way."""
+        # Their keyframes are adjusted before, but not awaited: mapping may be waiting for the end of this frame.
         if keyframes := self.tracker.put_back():
             with self.map.lock.let_go():
-                self.schedule.submit(Worker.MAPPING, self.mapper.adjust, keyframes).result()
+                self._adjusted = self.schedule.submit(Worker.MAPPING, self.mapper.adjust, keyframes)
+        again = self._found_again() if self._adjusted.done() else {}
+        return replace(tracked, T_world_cam=again.get(tracked.frame.image.index, tracked.T_world_cam))
+
+    def _found_again(self) -> dict[int, F64]:
+        """Correct the results of frames that are found again; return their poses by the index of the image."""
         again = self.tracker.found_again(self.map)
         for place, result in enumerate(self.results) if again else ():
             if result.index in again and result.T_reference_cam is not None:
                 noted = self.map.noted_in(result.reference_keyframe, again[result.index])
                 self.results[place] = replace(result, T_reference_cam=noted)
-        return replace(tracked, T_world_cam=again.get(tracked.frame.image.index, tracked.T_world_cam))
+        return again
 
     def _in_main(self) -> list[FrameSummary]:
         """Return the frames that have a pose in the main sub-map."""
@@ -436,7 +445,6 @@ def segmenter_of(
     return in_pixels_of(config.semantics, camera.pixel_scale).build(parts)
 
 
-def _as_arrays(trajectory: Trajectory, placed: list[FrameSummary]) -> tuple[F64, F64, F64]:
+def _as_arrays(trajectory: Trajectory, n_agreeing: list[int]) -> tuple[F64, F64, F64]:
     """Return times (N,) and poses (N, 4, 4) of a trajectory, and how many points agree with each (N,)."""
-    n_agreeing = np.array([result.n_agreeing for result in placed], dtype=np.float64)
-    return trajectory.timestamps_s, trajectory.T_world_cam, n_agreeing
+    return trajectory.timestamps_s, trajectory.T_world_cam, np.array(n_agreeing, dtype=np.float64)

@@ -162,6 +162,14 @@ def test_played_backwards_each_image_keeps_its_true_pose(twenty: Dataset) -> Non
     assert np.array_equal(true_poses(backwards, list(range(17))), true_poses(twenty, list(range(19, 2, -1))))
 
 
+def test_played_backwards_depth_that_came_after_its_colour_comes_before_it(twenty: Dataset) -> None:
+    assert isinstance(twenty, ImageSequence)
+    after_s = np.linspace(-0.01, 0.02, 20)
+    late = replace(twenty, depth_after_s=after_s)
+    backwards = select(late, reverse=True)
+    assert [backwards.load(i).depth_after_s for i in range(20)] == list(-after_s[::-1])
+
+
 def test_twice_backwards_is_forwards(twenty: Dataset) -> None:
     again = select(select(twenty, reverse=True), reverse=True)
     assert [again.load(i).index for i in range(20)] == list(range(20))

@@ -156,3 +156,15 @@ def test_poses_known_earlier_are_compared_beside_the_final_ones_and_read_again(
     assert evaluation.lagged.n_compared == evaluation.as_given.n_compared
     assert from_json(to_json(evaluation)) == evaluation
     assert f"ATE {evaluation.online.ate_m:.4f} m" in as_text(evaluation)
+
+
+def test_poses_known_earlier_that_are_too_few_cost_nothing_but_their_own_figures(
+    marker_walk: tuple[Trajectory, Trajectory, Trajectory],
+) -> None:
+    """As where all images but the last were tracked in a sub-map that was merged into the main one afterwards."""
+    estimate, marker, _ = marker_walk
+    online = Trajectory(estimate.timestamps_s[-1:], estimate.T_world_cam[-1:])
+    evaluation = evaluate(estimate, marker, online=online, lagged=Trajectory(np.zeros(0), np.zeros((0, 4, 4))))
+    assert evaluation.online is None
+    assert evaluation.lagged is None
+    assert evaluation.as_given == evaluate(estimate, marker).as_given

@@ -238,12 +238,24 @@ def test_a_map_file_grows_as_images_come_and_a_second_session_goes_on_in_it(tmp_
         for image in list(sequence)[:30]:
             slam.process(image)
         assert path.stat().st_size > 0
-    with sr.Slam("orb-slam2", sequence.camera, map=path, map_use="continue") as slam:
+    camera = replace(sequence.camera, readout_s=1e-4, depth_offset_s=1e-9)  # which a map file does not keep
+    with sr.Slam("orb-slam2", camera, map=path, map_use="continue") as slam:
         for image in list(sequence)[30:60]:
             slam.process(image)
         slam.save_map(tmp_path / "copy.stillmap")
     assert [session.sequence for session in sr.load_map(path).sessions] == ["first visit", "images from Python"]
     assert len(sr.load_map(tmp_path / "copy.stillmap").sessions) == 2
+
+
+def test_a_map_file_has_the_poses_of_the_last_look(tmp_path):
+    sequence, path = room("0:12"), tmp_path / "room.stillmap"
+    settings = ("last_look.enabled=true", "keyframes.min_gap=2", "keyframes.share=0.99")
+    with sr.Slam("orb-slam2", sequence.camera, settings=settings, map=path) as slam:
+        for image in sequence:
+            slam.process(image)
+    assert slam.system.last_look.n_improved > 6
+    kept = [frame.T_reference_cam for frame in sr.load_map(path).frames]
+    np.testing.assert_array_equal(kept, [result.T_reference_cam for result in slam.system.results])
 
 
 def test_observers_and_a_segmenter_of_ones_own_are_asked(tmp_path):

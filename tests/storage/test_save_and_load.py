@@ -18,6 +18,7 @@ from stillroom.storage import StoredMap, changes, load_map, save_map
 from stillroom.storage.check import check_map
 from stillroom.storage.opening import log_of
 from stillroom.storage.writer import MapWriter
+from stillroom.tracking.undecided import put_back
 
 
 def content(path: Path) -> list[str]:
@@ -113,6 +114,23 @@ def test_going_on_adds_to_the_file_what_has_changed_since(tmp_path: Path) -> Non
     assert [run.first_keyframe for run in stored.sessions] == [0, first]
     assert [(frame.session, frame.image_index) for frame in stored.frames] == [(0, 0), (0, 1), (0, 2), (1, 0), (1, 1)]
     assert check_map(path) == []
+
+
+def test_keypoints_that_were_put_back_are_written_again(tmp_path: Path) -> None:
+    """As where a recording turns out to have a global shutter (`tracking/undecided.py`)."""
+    small, path = SmallMap.of(SmallWorld.of(0), [pose(), pose(0.1)]), tmp_path / "room.stillmap"
+    with MapWriter.create(path, small.map, CAMERA) as writer:
+        writer.begin(session())
+        small.map.keypoints.px[small.map.rows(1)] += 0.5  # as moved to mid-frame
+        writer.commit()
+        before = writer._connection.total_changes
+        put_back(1, small.frames[1].keypoints, pose(0.1), CAMERA, small.map)
+        writer.commit()
+        assert_same_map(load_map(as_after_a_crash(path, tmp_path / "crashed")).world, small.map, with_counts=False)
+        n_written = writer._connection.total_changes - before
+        writer.commit()
+        assert writer._connection.total_changes - before - n_written == 1, "the number of points alone"
+    assert_same_map(load_map(path).world, small.map)
 
 
 def test_going_on_after_a_crash_leaves_one_file(tmp_path: Path) -> None:

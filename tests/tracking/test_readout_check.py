@@ -11,6 +11,7 @@ from stillroom.data.matches import Matches
 from stillroom.data.motion import Motion
 from stillroom.data.result import Tracked, TrackingState
 from stillroom.geometry import se3, twists
+from stillroom.optimize.depth_terms import RightCoordinate
 from stillroom.optimize.pose import PoseOptimizerConfig
 from stillroom.session.plausibility import ShutterDoubts
 from stillroom.tracking.readout_check import LONGEST_GAP_S, ReadoutCheck, Rows, RowsFound
@@ -18,6 +19,7 @@ from stillroom.tracking.shutter import Before, GlobalShutter, RollingShutter, Ro
 
 WORLD = SmallWorld.of(0, 600)
 FILE_S = 0.03
+DEPTH = RightCoordinate()
 N_FRAMES = 26
 
 
@@ -57,7 +59,7 @@ class Tracking:
         frame, seen = look(k, self.true_s)
         ids, guess = self.small.id_of[seen], se3.inverse(where(k / 30.0))
         frame = self.shutter.at_mid_frame(frame, self.shutter.expected(guess, Before(self.before, 1 / 30.0)))
-        fitted = self.shutter.fit(frame, guess, Matches.of(ids), self.small.map, None, 1.0)
+        fitted = self.shutter.fit(frame, guess, Matches.of(ids), self.small.map.points.position_m, None, DEPTH)
         frame = self.shutter.at_mid_frame(frame, fitted.velocity)
         matches = Matches.of(ids)
         inliers = np.full(len(ids), -1, dtype=np.int32)
@@ -96,7 +98,7 @@ def test_rows_read_as_one_are_a_global_shutter_to_the_byte() -> None:
     tracking.run()
     frame, seen = look(N_FRAMES, 0.0)
     guess = se3.inverse(where(N_FRAMES / 30.0))
-    asked = guess, Matches.of(tracking.small.id_of[seen]), tracking.small.map, None, 1.0
+    asked = guess, Matches.of(tracking.small.id_of[seen]), tracking.small.map.points.position_m, None, DEPTH
     assert tracking.shutter.expected(guess, Before(tracking.before, 1 / 30.0)) is None
     ours, other = tracking.shutter.fit(frame, *asked), GlobalShutter(PoseOptimizerConfig()).fit(frame, *asked)
     assert ours.velocity is None
@@ -137,8 +139,25 @@ def test_what_was_found_before_the_verdict_is_found_again() -> None:
     for k, T_world_cam in again.items():
         frame, seen = look(k, 0.0)
         matches = Matches.of(tracking.small.id_of[seen])
-        T = other.fit(frame, se3.inverse(where(k / 30.0)), matches, world, None, 1.0).T_cam_world
+        T = other.fit(frame, se3.inverse(where(k / 30.0)), matches, world.points.position_m, None, DEPTH).T_cam_world
         assert np.abs(T @ T_world_cam - np.eye(4)).max() < 5e-4
+
+
+def test_a_keyframe_that_an_earlier_run_made_of_the_same_image_stays_as_it_is() -> None:
+    """As where a recording is localized in the map that was made of it."""
+    tracking = Tracking(0.0)
+    world, (frame, seen) = tracking.small.map, look(1, 0.0)
+    keyframe = world.add_keyframe(frame, where(1 / 30.0), tracking.small.id_of[seen], frame.is_static, 0)
+    px, T_world_cam = world.keypoints.px + 1.0, world.keyframes.T_world_cam.copy()
+    world.keypoints.px[:] = px
+    tracking.shutter.remember(replace(tracking.track(1), reference_keyframe=keyframe), world)
+    for k in range(2, N_FRAMES):
+        tracking.track(k)
+    assert tracking.shutter.found is not None
+    assert tracking.shutter.found.as_one
+    assert tracking.shutter.put_back() == []
+    np.testing.assert_array_equal(world.keypoints.px, px)
+    np.testing.assert_array_equal(world.keyframes.T_world_cam, T_world_cam)
 
 
 def rows_at(time_s: float, T_world_cam: np.ndarray, n_jumps: int = 0) -> Rows:

@@ -31,7 +31,7 @@ class Image(ABC):
         name: Name of its colour file without folder and suffix; "" for an image that never was a file.
         truth: The renderer's exact boxes and masks; None on real data.
         depth_after_s: How long after the colour image depth was taken, as far as is known [s]; negative where before.
-            It counts only where the camera has a `depth_offset_s`, which it contains.
+            It contains the camera's `depth_offset_s`, and counts where that is not 0, or with `tracking.depth.in_time`.
     """
 
     sensor: ClassVar[Sensor]

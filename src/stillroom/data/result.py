@@ -115,6 +115,7 @@ class FrameSummary:
         recovery: How the frame was relocalized, where tracking was lost before it.
         n_agreeing: Map points that the pose was found from: without those that a keyframe then made of its own depth,
             and 0 for an image that repeats the one before.
+        n_looked: The same of the last look at the finished map, where that found the pose in the keyframe; else None.
     """
 
     index: int
@@ -131,6 +132,12 @@ class FrameSummary:
     submap: int = 0
     recovery: Recovery = Recovery.NONE
     n_agreeing: int = 0
+    n_looked: int | None = None
+
+    @property
+    def n_agreeing_finally(self) -> int:
+        """Map points that the final pose was found from."""
+        return self.n_agreeing if self.n_looked is None else self.n_looked
 
 
 @dataclass(frozen=True)

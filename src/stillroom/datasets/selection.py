@@ -1,10 +1,11 @@
 """A part of a sequence, or one with frames taken away, blacked out or played backwards: `run --frames` and the like."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 
-from stillroom.data.image import Image
+from stillroom.data.image import Image, RgbdImage
 from stillroom.data.trajectory import Trajectory
 from stillroom.datasets.recording import DatasetView, unpaired_s
 from stillroom.errors import ConfigError
@@ -67,6 +68,8 @@ class Selected(DatasetView):
 class Reversed(DatasetView):
     """A `Dataset` that plays another backwards: times and ground truth are mirrored, so that times increase.
 
+    Depth that was taken after its colour image comes before it.
+
     Numbers of images, which must increase, count from the end of the original: its last image is number 0.
     """
 
@@ -118,7 +121,8 @@ class Reversed(DatasetView):
             raise IndexError(f"{self.name}: no image {index} in the sequence; there are {len(self)}, from 0")
         image = self._inner.load(len(self) - 1 - index)
         number = self.original_length - 1 - image.index
-        return image.at(number, float(self._timestamps_s[index]))
+        shown = image.at(number, float(self._timestamps_s[index]))
+        return replace(shown, depth_after_s=-shown.depth_after_s) if isinstance(shown, RgbdImage) else shown
 
     def _mirrored(self, forward: Trajectory | None) -> Trajectory | None:
         if forward is None:

@@ -175,8 +175,8 @@ def evaluate(
         at_camera=at_camera,
         offset_s=matching.offset_s or 0.0,
         interpolated=matching.interpolate,
-        online=None if online is None else earlier(online, groundtruth, groundtruth_camera, matching),
-        lagged=None if lagged is None else earlier(lagged, groundtruth, groundtruth_camera, matching),
+        online=_earlier(online, groundtruth, groundtruth_camera, matching),
+        lagged=_earlier(lagged, groundtruth, groundtruth_camera, matching),
     )
 
 
@@ -208,6 +208,17 @@ def compare(
         smoothness=_smoothness(estimate, given),
         alignment=absolute.alignment,
     )
+
+
+def _earlier(
+    estimate: Trajectory | None, groundtruth: Trajectory, at_camera: Trajectory | None, matching: TimeMatching
+) -> Earlier | None:
+    if estimate is None:
+        return None
+    try:
+        return earlier(estimate, groundtruth, at_camera, matching)
+    except TrajectoryError:  # too few poses were in the main sub-map then; the final ones are worth having
+        return None
 
 
 def _smoothness(estimate: Trajectory, groundtruth: Trajectory) -> Smoothness | None:

@@ -195,6 +195,9 @@ class Slam:
         with self._opening:
             self._finish()
             if self._opened.keeper is not None:
+                for result in self.system.results:
+                    if result.n_looked is not None:  # noted when it was tracked; found again since
+                        self._opened.keeper.note(result)
                 self._opened.keeper.close()
 
     def __enter__(self) -> "Slam":

@@ -41,6 +41,7 @@ class Changes:
         world.points.is_unsaved[:] = False
         world.keyframes.is_unsaved[:] = False
         world.covisibility.unsaved.clear()
+        world.moved_keypoints.clear()
 
     def expect_all(self) -> None:
         """Mark all points as changed."""
@@ -51,6 +52,7 @@ class Changes:
         self.expect_all()
         self._world.keyframes.is_unsaved[:] = True
         self._world.covisibility.unsaved.update(range(len(self._world.keyframes)))
+        self._world.moved_keypoints.update(range(len(self._world.keyframes)))
 
     def committed(self) -> None:
         """Take what `write` wrote last as written for good."""
@@ -104,6 +106,8 @@ class Changes:
         was_alive = np.append(self._known.is_alive, np.zeros(len(present) - n_known, dtype=np.bool_))
         culled = np.flatnonzero(was_alive & ~present.is_alive)
         database.executemany("DELETE FROM keypoints WHERE keyframe = ?", [(int(k),) for k in culled])
+        was_alive[list(self._world.moved_keypoints)] = False  # those are in the file where they are no more
+        self._world.moved_keypoints.clear()
         for k in np.flatnonzero(present.is_alive & ~was_alive).tolist():
             rows = self._world.rows(k)
             blobs = [packed.pack(getattr(keypoints, name)[rows]) for name, packed in KEYPOINTS.items()]

@@ -146,7 +146,7 @@ class LastLook:
         frames = Frames(
             np.array([results[i].timestamp_s for i, _ in known]),
             np.array([self._world.placed_by(results[i].reference_keyframe, noted) for i, noted in known]),
-            np.array([float(results[i].n_agreeing) for i, _ in known]),
+            np.array([float(results[i].n_agreeing_finally) for i, _ in known]),
             self._as_known_now([i for i, _ in known]),
         )
         position_m, is_new = self._world.points.position_m.copy(), np.zeros(len(known), dtype=np.bool_)
@@ -158,7 +158,7 @@ class LastLook:
         for k in np.flatnonzero(is_new):
             i = known[k][0]
             T_reference_cam = self._world.noted_in(results[i].reference_keyframe, frames.T_world_cam[k])
-            looked[i] = replace(results[i], T_reference_cam=T_reference_cam, n_agreeing=int(frames.n_agreeing[k]))
+            looked[i] = replace(results[i], T_reference_cam=T_reference_cam, n_looked=int(frames.n_agreeing[k]))
         self.n_improved = int(np.count_nonzero(is_new))
         return looked
 

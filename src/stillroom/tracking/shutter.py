@@ -208,6 +208,7 @@ class RollingShutter:
         self._undecided, self._put_back = Undecided(), list[int]()
         self._decided: Camera | None = None  # since the last frame, for this camera
         self._depth: DepthTerms = RightCoordinate()  # of the last pose
+        self._n_keyframes = 0  # when the last frame was found
 
     @property
     def found(self) -> RowsFound | None:
@@ -259,6 +260,7 @@ class RollingShutter:
     def learn(self, tracked: Tracked, world: Map) -> Tracked:
         """Ask the rows of a frame when they were read; where they say at once, find the frames until now again."""
         check, frame = self._check, tracked.frame
+        self._n_keyframes = len(world.keyframes)
         if check is None or tracked.T_world_cam is None:
             return tracked
         was_as_one, matches = check.as_one, Matches.of(tracked.point_ids)
@@ -281,7 +283,7 @@ class RollingShutter:
     def remember(self, tracked: Tracked, world: Map) -> None:
         """Take notice of a keyframe whose keypoints were moved, as long as that may have been wrong."""
         keyframe = tracked.reference_keyframe
-        if keyframe >= 0 and world.keyframes.timestamp_s[keyframe] == tracked.frame.timestamp_s:
+        if keyframe >= self._n_keyframes:  # added since; an earlier run may have made one of the same image
             self._undecided.became_keyframe(keyframe, tracked)
 
     def put_back(self) -> list[int]:

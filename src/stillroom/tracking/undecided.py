@@ -122,6 +122,7 @@ def put_back(keyframe: int, keypoints: Keypoints, T_world_cam: F64, camera: Came
     table, points, rows = world.keypoints, world.points, world.rows(keyframe)
     taken = as_taken(keypoints, camera)
     table.px[rows], table.right_px[rows] = taken.px, taken.right_px
+    world.moved_keypoints.add(keyframe)
     world.keyframes.T_world_cam[keyframe] = T_world_cam
     ids = table.point[rows]
     own = np.flatnonzero((ids >= 0) & (keypoints.depth_m > 0))

@@ -155,6 +155,8 @@ class Map:
         jumps: Motions (4, 4) of the world's coordinates around the newest keyframe, each from one correction
             of the map; see `jumps.JumpFollower`. They are rigid, also where the scale of the map was corrected.
         loop_edges: Keyframes that closed loops: the one that knew the place, the one that came back.
+        moved_keypoints: Keyframes whose keypoints were moved since the map was last written to disk; the writer clears
+            it.
     """
 
     def __init__(self, scales: ScaleLevels, sensor: Sensor = Sensor.RGBD) -> None:
@@ -167,6 +169,7 @@ class Map:
         self.lock = MapLock()
         self.jumps: list[F64] = []
         self.loop_edges: list[tuple[int, int]] = []
+        self.moved_keypoints: set[int] = set()
         self._n_submaps = 0
         self._marks = Marks()
 

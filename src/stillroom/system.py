@@ -383,7 +383,7 @@ def build(
         map=world,
         observer=observer or NoObserver(),
         prior=config.trajectory,
-        last_look=timed_part(config.last_look.build(parts, tracker, config.trajectory), clock, again="last look"),
+        last_look=config.last_look.build(parts, tracker, config.trajectory),
         first_keyframe=len(world.keyframes),
     )
 

@@ -1,6 +1,7 @@
 """`stillroom bench shutter`: its rows, and what each of them models."""
 
 import json
+import re
 from typing import Any
 
 import pytest
@@ -38,7 +39,7 @@ def test_one_command_prints_a_row_for_each_part(figures: tuple[Result, Any]) -> 
     result, rows = figures
     assert list(rows) == [NOTHING, PRIOR, SHUTTER, DEPTH, LOOK, ALL_BUT_LOOK, ALL]
     for name, row in rows.items():
-        line = next(line for line in result.stdout.splitlines() if line.strip().startswith(f"{name} "))
+        line = next(line for line in result.stdout.splitlines() if re.match(rf" *{name}  ", line))
         cells = line.strip().removeprefix(name).split()
         assert len(cells) == len(HEADER) - 1 + 1  # the percent sign stands apart
         assert cells[:3] == [f"{row['ate_se3_m'][which]:.4f}" for which in ("median", "min", "max")]
@@ -54,7 +55,6 @@ def test_each_part_does_what_it_is_for(figures: tuple[Result, Any]) -> None:
     jitter_mm = {name: row["jitter_fast_slow_mm"][0]["median"] for name, row in rows.items()}
     assert ate_m[SHUTTER] < 0.5 * ate_m[NOTHING]
     assert jitter_mm[PRIOR] < 0.3 * jitter_mm[NOTHING]
-    assert ate_m[LOOK] < ate_m[NOTHING]
     assert ate_m[ALL] < ate_m[ALL_BUT_LOOK] < 0.5 * ate_m[NOTHING]
     assert jitter_mm[ALL] < 0.3 * jitter_mm[SHUTTER]
 

@@ -31,7 +31,7 @@ def test_a_camera_that_plays_a_folder_gives_the_folder_s_bytes(stillroom: Callab
     assert poses(Path("a")).count(b"\n") == N_FRAMES + 1
     for name in ("trajectory_online.tum", "keyframes.tum", "frames.csv", "groundtruth.tum"):
         assert (Path("a") / name).read_bytes() == (Path("b") / name).read_bytes(), name
-    assert "orb-slam2 on room: camera: " in of_camera.err
+    assert "orb-slam2 on room: RGB-D; camera: " in of_camera.err
     assert f"sequence = 'camera:replay:{recorded}'" in Path("b/config.toml").read_text(encoding="utf-8").replace(
         '"', "'"
     )

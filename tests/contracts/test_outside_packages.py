@@ -76,7 +76,7 @@ def test_an_outside_kind_is_asked_about_folders_and_archives_before_the_plain_fo
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     kinds = all_kinds()
-    assert list(kinds) == ["bonn", "noise", "synthetic", "folder"]
+    assert list(kinds) == ["bonn", "euroc", "kitti", "noise", "synthetic", "folder"]
     assert kinds["folder"] is LAST
     folder = tmp_path / "both"
     write_tiny_sequence(folder)

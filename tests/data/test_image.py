@@ -18,7 +18,7 @@ def every_kind() -> list[Image]:
     return [
         RgbdImage(1.0, RGB, DEPTH_M, 3, "a", TRUTH),
         StereoImage(1.0, RGB, RIGHT, 3, "a", TRUTH),
-        StereoImage(1.0, RGB, RIGHT, 3, "a", TRUTH, dense_depth_m=DEPTH_M),
+        StereoImage(1.0, RGB, RIGHT, 3, "a", TRUTH, depth_of_pair=lambda: DEPTH_M),
         MonoImage(1.0, RGB, 3, "a", TRUTH),
     ]
 
@@ -37,7 +37,7 @@ def test_all_kinds_can_be_asked_the_same(image: Image) -> None:
     blind = image.without_depth()
     assert not blind.known_depth_m.any()
     np.testing.assert_array_equal(blind.rgb, RGB)
-    assert blind.has_depth_image == image.has_depth_image
+    assert blind.has_depth_image == (image.sensor is Sensor.RGBD)
     black = image.black()
     assert all(not channel.any() for channel in black.channels.values())
     assert black.truth is not None

@@ -6,6 +6,7 @@ from optimize_problems import CAMERA, INTRINSICS, camera_jacobian, point_jacobia
 from stillroom.geometry import se3
 from stillroom.optimize import bundle_kernels
 from stillroom.optimize.bundle import BundleProblem, _Adjustment
+from stillroom.optimize.depth_terms import RightCoordinate
 from stillroom.optimize.observations import point_information
 from stillroom.optimize.reduced_system import DenseSystem, SparseSystem
 
@@ -48,7 +49,7 @@ def symmetric(lower: np.ndarray) -> np.ndarray:
 
 
 def test_evaluate_matches_numpy(problem: BundleProblem) -> None:
-    work = _Adjustment(problem, CAMERA)
+    work = _Adjustment(problem, CAMERA, RightCoordinate())
     use = some_active(work)
     cost = work.evaluate(work.T, work.points, LIMITS)
     chi2 = bundle_chi_squares(problem, problem.T_cam_world, problem.points_world_m)
@@ -59,7 +60,7 @@ def test_evaluate_matches_numpy(problem: BundleProblem) -> None:
 
 @pytest.mark.parametrize("robust", [True, False])
 def test_linearize_matches_numpy_with_numerical_jacobians(problem: BundleProblem, robust: bool) -> None:
-    work = _Adjustment(problem, CAMERA)
+    work = _Adjustment(problem, CAMERA, RightCoordinate())
     use = some_active(work)
     for block in work.blocks:
         block[:] = 7.0
@@ -104,7 +105,7 @@ def test_factor_points_is_cholesky_and_leaves_out_what_has_none() -> None:
 @pytest.mark.parametrize("damping", [1e-4, 0.5])
 def test_a_step_solves_the_whole_damped_system(problem: BundleProblem, damping: float) -> None:
     """Schur complement, back-substitution and updates against one dense solve of cameras and points together."""
-    work = _Adjustment(problem, CAMERA)
+    work = _Adjustment(problem, CAMERA, RightCoordinate())
     work.is_active[:] = True
     work.linearize(LIMITS)
     H, b, begin = dense_normal_equations(problem, np.ones(len(work.order), dtype=bool), True)

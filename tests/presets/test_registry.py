@@ -232,7 +232,7 @@ def test_preset_then_file_then_overrides_then_seed(tmp_path: Path) -> None:
 
 
 def test_the_default_method_and_the_file_s(tmp_path: Path) -> None:
-    assert configure().method == "oc-slam"
+    assert configure().method == "stillroom"
     file = tmp_path / "config.toml"
     whole = replace(method("orb-slam2").config, seed=11)
     file.write_text(to_toml(whole), encoding="utf-8")

@@ -4,7 +4,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
-from small_world import SmallMap, SmallWorld, no_semantics, pose
+from building import parts
+from small_world import CAMERA, SmallMap, SmallWorld, no_semantics, pose
 
 from stillroom.config import SlamConfig
 from stillroom.data.frame import Frame
@@ -234,7 +235,7 @@ def test_it_leaves_the_frame_to_orb_where_it_must(small: SmallMap) -> None:
 
 def test_the_tracker_asks_the_sieve_once_and_keeps_what_is_static() -> None:
     small = SmallMap.of(SmallWorld.of(0), [np.eye(4), pose(0.02)])
-    tracker = TrackerConfig().build(None, Halving())
+    tracker = TrackerConfig().build(parts(CAMERA, small.map), Halving())
     for k in range(2):
         tracker.remember(small.tracked(k), small.map)
     expected = tracker.expected(small.map)

@@ -72,7 +72,7 @@ def depth(
     are in it.
 
         stillroom calibrate depth my-room
-        stillroom calibrate depth synthetic:empty,frames=150,depth_scale=1.03,depth_late_ms=15
+        stillroom calibrate depth synthetic:empty,frames=150,depth_late_ms=15
     """
     from stillroom.pipeline.depth import calibrate_depth
 

@@ -111,6 +111,7 @@ class LastLook:
     def __init__(self, config: LastLookConfig, parts: Parts, tracker: Tracker, prior: TrajectoryPriorConfig) -> None:
         """Start before the first frame; see `LastLookConfig.build`."""
         self.config, self.n_improved, self.n_forgotten = config, 0, 0
+        self._timed = parts.clock.timed("last look", self._looked_again)
         self._camera: Camera = parts.camera
         self._world: Map = parts.world
         self._pose, self._depth, self._prior = tracker.pose, tracker.config.depth, prior
@@ -131,6 +132,9 @@ class LastLook:
         Args:
             results: The frames in order, one for each that was kept.
         """
+        return self._timed(results)
+
+    def _looked_again(self, results: Sequence[FrameSummary]) -> list[FrameSummary]:
         looked, self.n_improved = list(results), 0
         if self.n_forgotten:
             log.warning(

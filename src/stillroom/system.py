@@ -395,7 +395,7 @@ def _checked(config: SlamConfig, camera: Camera, sensor: Sensor) -> SlamConfig:
 
 
 def _refreshing(dense: DenseMapping, parts: Parts) -> tuple[Callable[[], object]]:
-    """Return what follows a change of the whole map: the dense map is built anew, by its worker."""
+    """Return what follows a change of the whole map: the dense map is built again, by its worker."""
     return (partial(parts.schedule.submit, Worker.DENSE, dense.refresh),)
 
 

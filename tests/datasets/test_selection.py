@@ -170,6 +170,15 @@ def test_played_backwards_depth_that_came_after_its_colour_comes_before_it(twent
     assert [backwards.load(i).depth_after_s for i in range(20)] == list(-after_s[::-1])
 
 
+def test_played_backwards_a_camera_has_no_readout_and_says_so(twenty: Dataset) -> None:
+    assert isinstance(twenty, ImageSequence)
+    rolling = replace(twenty, camera=replace(twenty.camera, readout_s=0.03))
+    backwards = select(rolling, reverse=True)
+    assert (rolling.camera.readout_s, backwards.camera.readout_s) == (0.03, 0.0)
+    assert backwards.camera_source == f"{rolling.camera_source}; played backwards, its rows are read as one"
+    assert select(twenty, reverse=True).camera_source == twenty.camera_source
+
+
 def test_twice_backwards_is_forwards(twenty: Dataset) -> None:
     again = select(select(twenty, reverse=True), reverse=True)
     assert [again.load(i).index for i in range(20)] == list(range(20))

@@ -8,8 +8,8 @@ from stillroom.config.tree import SlamConfig
 def for_single_camera(config: SlamConfig) -> SlamConfig:
     """Return a config whose keyframes and points come as often as depth from motion needs them.
 
-    `monocular` holds the numbers; those of `keyframes`, `mapping` and `recovery` that they replace are for cameras that
-    measure depth.
+    `monocular` holds the numbers; those of `keyframes`, `mapping`, `recovery` and `last_look` that they replace are for
+    cameras that measure depth.
     """
     own = config.monocular
     return replace(
@@ -23,4 +23,5 @@ def for_single_camera(config: SlamConfig) -> SlamConfig:
             min_observations=own.min_observations,
         ),
         recovery=replace(config.recovery, patience=own.patience),
+        last_look=replace(config.last_look, enabled=config.last_look.enabled or own.last_look),
     )

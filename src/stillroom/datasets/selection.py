@@ -10,6 +10,7 @@ from stillroom.data.trajectory import Trajectory
 from stillroom.datasets.recording import DatasetView, unpaired_s
 from stillroom.errors import ConfigError
 from stillroom.geometry.arrays import F64, I64, Bool
+from stillroom.geometry.camera import Camera
 from stillroom.protocols import Dataset
 
 
@@ -68,7 +69,8 @@ class Selected(DatasetView):
 class Reversed(DatasetView):
     """A `Dataset` that plays another backwards: times and ground truth are mirrored, so that times increase.
 
-    Depth that was taken after its colour image comes before it.
+    Depth that was taken after its colour image comes before it. Rows of a rolling shutter would be read upwards, which
+    nothing that follows can do, so the camera has no readout.
 
     Numbers of images, which must increase, count from the end of the original: its last image is number 0.
     """
@@ -79,6 +81,17 @@ class Reversed(DatasetView):
         times_s: F64 = np.asarray(inner.timestamps_s, dtype=np.float64)
         self._mirror_s = float(times_s[0] + times_s[-1])
         self._timestamps_s: F64 = self._mirror_s - times_s[::-1]
+
+    @property
+    def camera(self) -> Camera:
+        """The calibration, with all rows read at once."""
+        return replace(self._inner.camera, readout_s=0.0)
+
+    @property
+    def camera_source(self) -> str:
+        """One line that says where the calibration comes from, and what became of the readout."""
+        as_one = "; played backwards, its rows are read as one" if self._inner.camera.readout_s else ""
+        return self._inner.camera_source + as_one
 
     @property
     def timestamps_s(self) -> F64:

@@ -5,8 +5,7 @@ Boxes and clusters, each judged over more than one image by epipolar lines and a
 were read (`optimize/rolling_pose.py`; only for cameras whose `readout_s` is known), depth counts as much as structured
 light deserves and is that of the image's own time (`tracking/depth_clock.py`), nothing is evidence for motion while the
 camera turns fast, every frame is fitted once more to the finished map (`tracking/last_look.py`), and the poses of all
-frames become one estimate under a prior of smooth motion
-(`optimize/trajectory_prior.py`).
+frames become one estimate under a prior of smooth motion (`optimize/trajectory_prior.py`).
 """
 
 from dataclasses import replace
@@ -28,7 +27,7 @@ DEPTH = DepthNoiseConfig(right_sigma=RIGHT_SIGMA, in_time=True)
 
 METHOD = Method(
     name="stillroom",
-    summary="boxes and clusters of oc-slam; rolling-shutter poses; a trajectory under a prior of smooth motion",
+    summary="boxes and clusters of oc-slam; rolling-shutter poses, fitted again in the end; a prior of smooth motion",
     config=replace(
         _OC_SLAM,
         method="stillroom",

@@ -17,7 +17,7 @@ import numpy as np
 
 from stillroom.bounds import bounded
 from stillroom.data.frame import Frame, Keypoints
-from stillroom.data.image import RgbdImage
+from stillroom.data.image import MonoImage, RgbdImage
 from stillroom.data.map import Map
 from stillroom.data.matches import Matches
 from stillroom.data.result import FrameSummary, Tracked
@@ -42,7 +42,7 @@ class LastLookConfig:
 
     Attributes:
         enabled: Whether they are.
-        looks: How often; before each look but the first, points are placed anew by all frames that see them.
+        looks: How often; before each look but the first, points are placed once more by all frames that see them.
         min_inliers: Points that must agree with the new pose; with fewer a frame keeps the one it has.
         most_frames: Newest frames of which is kept what they saw, about 9 kB each; earlier ones keep their poses.
     """
@@ -248,7 +248,9 @@ class LastLook:
             depth_m=sights.depth_m,
             right_px=camera.right_coordinate(sights.px[:, 0], sights.depth_m),
         )
-        image = RgbdImage(time_s, np.zeros((0, 0, 3), dtype=np.uint8), np.zeros((0, 0), dtype=np.float32))
+        nothing = np.zeros((0, 0, 3), dtype=np.uint8)
+        is_metric = self._world.sensor.is_metric
+        image = RgbdImage(time_s, nothing, np.zeros((0, 0), np.float32)) if is_metric else MonoImage(time_s, nothing)
         return Frame(image, camera, self._world.scales, keypoints, np.ones(n, dtype=np.bool_))
 
 

@@ -55,6 +55,8 @@ class MonocularConfig:
         trial_keyframes: A point is tested for so many keyframes …
         min_observations: … and must then be seen by more than so many.
         patience: Frames without recognition after which a sub-map is begun; 0: never, as in ORB-SLAM2.
+        last_look: Whether every frame is fitted once more when a run ends, in any method: a frame's pose by a keyframe
+            that was culled since is worse than the map.
     """
 
     features_before_map: int = bounded(2, least=1)
@@ -72,6 +74,7 @@ class MonocularConfig:
     trial_keyframes: int = bounded(3, least=1)
     min_observations: int = bounded(2, least=0)
     patience: int = bounded(0, least=0)
+    last_look: bool = True
 
     def build(self, parts: Parts, sieve: MatchSieve) -> "TwoViewStart":
         """Return the stage that begins maps; it asks the sieve what moves."""

@@ -22,6 +22,9 @@ from stillroom.tracking.readout_check import ReadoutCheck, Rows, RowsFound
 from stillroom.tracking.undecided import Undecided, as_taken
 
 GLOBAL, ROLLING = "global", "rolling"
+TYPICAL_DEPTH = {True: 2.0, False: 1.0}
+"""Depth of a keypoint that has none, in a frame without any, by whether lengths are metric [m]; else the unit of length
+is the median depth when the map began."""
 FASTEST_TURN_RAD_S = 6.0
 """A motion model that expects the camera to turn faster has lost it."""
 
@@ -250,7 +253,7 @@ class RollingShutter:
             return frame
         kp, camera = frame.keypoints, frame.camera
         known = kp.depth_m[kp.depth_m > 0]
-        typical_m = float(np.median(known)) if len(known) else 2.0
+        typical_m = float(np.median(known)) if len(known) else TYPICAL_DEPTH[frame.image.sensor.is_metric]
         after_s = camera.rows_after_s(kp.raw_px[:, 1])
         px = at_mid_frame(kp.px, kp.depth_m, typical_m, after_s, velocity, intrinsics_of(camera)).astype(np.float32)
         moved = replace(kp, px=px, right_px=camera.right_coordinate(px[:, 0], kp.depth_m))
@@ -283,7 +286,7 @@ class RollingShutter:
     def remember(self, tracked: Tracked, world: Map) -> None:
         """Take notice of a keyframe whose keypoints were moved, as long as that may have been wrong."""
         keyframe = tracked.reference_keyframe
-        if keyframe >= self._n_keyframes:  # added since; an earlier run may have made one of the same image
+        if keyframe >= self._n_keyframes:  # added since; earlier runs have keyframes of the same stamp
             self._undecided.became_keyframe(keyframe, tracked)
 
     def put_back(self) -> list[int]:

@@ -12,6 +12,7 @@ from stillroom.bench.shutter import (
     ALL_BUT_LOOK,
     DEPTH,
     HEADER,
+    LIKELY,
     LOOK,
     NOTHING,
     PRIOR,
@@ -62,7 +63,7 @@ def test_each_part_does_what_it_is_for(figures: tuple[Result, Any]) -> None:
 def test_the_configs_differ_in_what_they_say() -> None:
     own = configure("stillroom")
     parts = shutter_parts(own)
-    assert list(parts) == [NOTHING, PRIOR, SHUTTER, DEPTH, TURNS, LOOK, ALL_BUT_LOOK, ALL]
+    assert list(parts) == [NOTHING, PRIOR, SHUTTER, DEPTH, TURNS, LIKELY, LOOK, ALL_BUT_LOOK, ALL]
     assert parts[ALL] == own
     for name, config in parts.items():
         assert (config.tracking.shutter == "rolling") == (name in (SHUTTER, ALL_BUT_LOOK, ALL))
@@ -72,6 +73,7 @@ def test_the_configs_differ_in_what_they_say() -> None:
         assert sigmas == {0.5 if name in (DEPTH, ALL_BUT_LOOK, ALL) else 1.0}
         assert (config.dynamics.max_turn_rad_s < 1.0) == (name in (TURNS, ALL_BUT_LOOK, ALL))
         assert config.last_look.enabled == (name in (LOOK, ALL))
+        assert config.dynamics.weighted == (name == LIKELY)
 
 
 def test_a_methods_own_values_are_kept() -> None:

@@ -15,14 +15,15 @@ from stillroom.tracking.shutter import GLOBAL, ROLLING, DepthNoiseConfig
 HEADER = ("what is modelled", "ATE median", "min", "max", "jitter", "faster", "slower", "RPE m/s", "deg/s", "tracked")
 """Names of the columns of `row`; ATE in m, the next three in mm."""
 NOTHING, PRIOR, SHUTTER, DEPTH, TURNS, ALL = "nothing", "prior", "shutter", "depth weights", "turn limit", "all"
-LOOK, ALL_BUT_LOOK = "last look", "all but last look"
+LIKELY, LOOK, ALL_BUT_LOOK = "p_static", "last look", "all but last look"
 
 
 def shutter_parts(config: SlamConfig) -> dict[str, SlamConfig]:
     """Return the configs by name, from a method's: nothing, each part alone, all but the last look, and all.
 
-    Values are the method's own where it has a part, else those of `stillroom`; depth weights are always those. There is
-    no row for the turn limit where a method has no cluster sieve.
+    Values are the method's own where it has a part, else those of `stillroom`; depth weights are always those. Where a
+    method has no cluster sieve there are no rows for the turn limit and for weights by p_static. All together, these
+    weights are there only if the method has them; `stillroom` does not.
     """
     prior = replace(config.trajectory, enabled=True)
     nothing = replace(
@@ -41,12 +42,13 @@ def shutter_parts(config: SlamConfig) -> dict[str, SlamConfig]:
         SHUTTER: replace(nothing, tracking=rolling),
         DEPTH: with_depth(nothing, own.DEPTH),
         TURNS: replace(nothing, dynamics=limited),
+        LIKELY: replace(nothing, dynamics=_weighted(nothing.dynamics)),
         LOOK: replace(nothing, last_look=look),
         ALL_BUT_LOOK: unlooked,
         ALL: replace(unlooked, last_look=look),
     }
     if limited == nothing.dynamics:
-        del parts[TURNS]
+        del parts[TURNS], parts[LIKELY]
     return parts
 
 
@@ -91,3 +93,7 @@ def _limited(config: SlamConfig, max_turn_rad_s: float) -> MatchSieveConfig:
     if not isinstance(config.dynamics, ClusterSieveConfig):
         return config.dynamics
     return replace(config.dynamics, max_turn_rad_s=max_turn_rad_s)
+
+
+def _weighted(dynamics: MatchSieveConfig) -> MatchSieveConfig:
+    return replace(dynamics, weighted=True) if isinstance(dynamics, ClusterSieveConfig) else dynamics

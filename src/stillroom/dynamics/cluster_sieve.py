@@ -54,6 +54,8 @@ class ClusterSieveConfig:
         margin_px: What lies this close to a moving cluster and on no plane or other cluster moves too.
         max_turn_rad_s: While the camera turns faster than this, nothing is evidence for motion: depth that lags behind
             colour makes the room move.
+        weighted: Whether keypoints on a cluster that stays count as much as it is likely to stay, in poses and bundle
+            adjustment (`Motion.p_static`), in place of yes and no.
     """
 
     needs_depth_image: ClassVar[bool] = True
@@ -71,6 +73,7 @@ class ClusterSieveConfig:
     reach_m: float = 0.3
     margin_px: int = bounded(8, least=0, pixels=1)
     max_turn_rad_s: float = bounded(1e3, above=0)
+    weighted: bool = False
 
     def build(self, parts: Parts) -> "ClusterSieve":
         """Return the sieve."""
@@ -116,8 +119,13 @@ class ClusterSieve:
         moving = self._pixels.of(clusters, belief, known.movable)
         # In boxes their own sieve decides.
         moves = values_at(moving, frame.keypoints.raw_px) & ~question.may_move
-        moves |= np.append(belief > 0, (False, False))[clusters.labels_at(frame.keypoints.raw_px)]
-        return Motion(motion.is_static & ~moves, moving)
+        label = clusters.labels_at(frame.keypoints.raw_px)  # of −2 or −1 where there is no cluster
+        moves |= np.append(belief > 0, (False, False))[label]
+        p_static = None
+        if self.config.weighted:
+            likely = np.append(1.0 / (1.0 + np.exp(belief)), (1.0, 1.0)).astype(np.float32)[label]
+            p_static = np.where(question.may_move, np.float32(0.5) * likely, likely)
+        return Motion(motion.is_static & ~moves, moving, p_static=p_static)
 
     def remember(self, frame: Frame, T_cam_world: F64, keyframe: int) -> None:
         """Store the depth image and the log-odds."""

@@ -316,3 +316,20 @@ def test_a_slow_turn_hides_nobody() -> None:
     play = Play(ClusterSieveConfig(max_turn_rad_s=0.5).build(parts()))
     play.during(2.0, CHAIR)
     assert share(play.show(CHAIR, PERSON)[0], PERSON) == 1.0
+
+
+def test_keypoints_count_as_much_as_their_cluster_is_likely_to_stay() -> None:
+    config = ClusterSieveConfig(weighted=True)
+    play = Play(config.build(parts()))
+    assert Play(ClusterSieveConfig().build(parts())).show(CHAIR)[0].p_static is None
+    for _ in range(40):
+        motion, frame = play.show(CHAIR)
+    assert motion.p_static is not None
+    assert motion.p_static.dtype == np.float32
+    stays = on(frame, CHAIR)
+    # Seen where it is for longer than the history reaches: log-odds at their least.
+    np.testing.assert_allclose(motion.p_static[stays], 1.0 / (1.0 + np.exp(-config.limit)), rtol=1e-6)
+    np.testing.assert_array_equal(motion.p_static[~stays], 1.0)  # the wall is no cluster
+    motion, frame = play.show(CHAIR, PERSON)
+    assert motion.p_static is not None
+    assert motion.p_static[on(frame, PERSON)].max() < 0.5

@@ -169,7 +169,7 @@ def shutter(
     """Compare what models the camera itself, each part alone and all together: ATE, jitter, fast and slow error, RPE.
 
     Parts are the rolling shutter, the trajectory prior, depth weights, the turn limit above which clusters are not
-    judged, and the last look.
+    judged, matches weighted by the probability that their cluster is static, and the last look.
     """
     configs = rolling.shutter_parts(configure(method, None, settings or ()))
     bench = Bench("shutter", out, tables)

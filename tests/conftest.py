@@ -4,11 +4,17 @@ Sequences and weights that lie beside the checkout are used where no others are 
 file is read, so that what tests start inherits them.
 """
 
+import ctypes
+import gc
 import os
+import sys
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import cv2
 import pytest
+from longest_first import LONGEST_FIRST
 
 cv2.setNumThreads(1)
 
@@ -23,6 +29,8 @@ for _variable, _kind in (("STILLROOM_DATA", "data"), ("STILLROOM_MODELS", "model
     if not os.environ.get(_variable) and _beside.is_dir():
         os.environ[_variable] = str(_beside)
 
+C = ctypes.CDLL(None) if sys.platform == "linux" else None
+"""The C library."""
 REAL = {variable: os.environ.get(variable) for variable in ("STILLROOM_DATA", "STILLROOM_MODELS")}
 """Read once: tests set the variables for themselves."""
 
@@ -98,8 +106,43 @@ REAL_FIXTURES = {"bonn", "freiburg1", "freiburg1_xyz", "yolo_weights", "deeplab"
 REAL_FIXTURES |= {"euroc_v101", "euroc_mh05", "kitti"}
 
 
+@pytest.fixture(scope="module", autouse=True)
+def _nothing_is_kept() -> Iterator[None]:
+    """Let go of what a file's tests made for each other: rendered frames, maps and networks would add up."""
+    yield
+    for module in list(sys.modules.values()):
+        if str(ROOT / "tests") in str(getattr(module, "__file__", None)):
+            _clear_caches(module.__name__, vars(module))
+    gc.collect()
+    if hasattr(C, "malloc_trim"):  # glibc's: what is free goes back to the system, else a worker stays at its largest
+        C.malloc_trim(0)
+
+
+def _clear_caches(module: str, names: Mapping[str, Any]) -> None:
+    for made in list(names.values()):
+        if getattr(made, "__module__", None) == module:
+            if hasattr(made, "cache_clear"):
+                made.cache_clear()
+            elif isinstance(made, type):
+                _clear_caches(module, vars(made))
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Let files be handed out in the order of collection, where xdist would begin with those of most tests."""
+    if hasattr(config.option, "loadscopereorder"):
+        config.option.loadscopereorder = False
+
+
+def pytest_collection_finish() -> None:
+    """Leave what is loaded now out of all later searches for garbage: half a million objects, for each file's end."""
+    gc.collect()
+    gc.freeze()
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark what needs real data, by the fixtures it asks for."""
+    """Mark what needs real data, by the fixtures it asks for, and put the longest files first."""
+    place = {ROOT / "tests" / name: k for k, name in enumerate(LONGEST_FIRST)}
+    items.sort(key=lambda item: place.get(item.path, len(place)))
     for item in items:
         if REAL_FIXTURES & set(getattr(item, "fixturenames", ())):
             item.add_marker(pytest.mark.real)

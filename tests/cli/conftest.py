@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from made_once import made_once
 
 from stillroom.cli.main import main
 from stillroom.data.trajectory import Trajectory
@@ -56,7 +57,10 @@ def stillroom(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Ca
 @pytest.fixture(scope="session")
 def _recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The first frames of an empty room, in the TUM layout."""
-    folder = tmp_path_factory.mktemp("recorded") / "room"
+    return made_once(tmp_path_factory, "recorded", _record)
+
+
+def _record(folder: Path) -> None:
     room = open_dataset("synthetic:empty")
     for name in ("rgb", "depth"):
         (folder / name).mkdir(parents=True)
@@ -75,7 +79,6 @@ def _recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
         folder / "groundtruth.txt"
     )
     write_camera(room.camera, folder / "camera.toml")
-    return folder
 
 
 @pytest.fixture

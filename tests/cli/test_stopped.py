@@ -43,7 +43,7 @@ place, number, n = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
 if place:
     at(*place.split(" "), number, n)
 from stillroom.cli.main import main
-main(["run", "synthetic:empty", "--frames", ":{N}", "--method", "orb-slam2", "--out", "out", *sys.argv[4:]])
+main(["run", os.environ["ROOM"], "--frames", ":{N}", "--method", "orb-slam2", "--out", "out", *sys.argv[4:]])
 """
 HEARD = "import signal; signal.signal(signal.SIGHUP, signal.SIG_DFL)\n" + RUN
 """The same whatever the tests were started with: under nohup, children ignore SIGHUP."""
@@ -55,7 +55,15 @@ STAGES = {
     "writing": ("stillroom.pipeline.results write_metrics", 1, N),
     "drawing": ("stillroom.pipeline.plots plot_error", 1, N),
 }
+QUICK = ("--pictures", "0", "--no-report")
+"""Where it is not about them."""
 CODES = {"SIGINT": 130, "SIGTERM": 143, "SIGHUP": 129}
+
+
+@pytest.fixture(autouse=True)
+def room(_recorded: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Images on disk: a process of its own would build a room first, for longer than it takes to track them."""
+    monkeypatch.setenv("ROOM", str(_recorded))
 
 
 def run(
@@ -77,7 +85,8 @@ def assert_kept(folder: Path, n: int) -> None:
 @pytest.mark.parametrize("stage", STAGES)
 def test_sigterm_in_any_stage_keeps_what_is_done(stage: str, tmp_path: Path) -> None:
     place, n, n_done = STAGES[stage]
-    done = run(tmp_path, place, signal.SIGTERM, n, "--pictures", "1" if stage == "drawing" else "0")
+    more = {"writing": ("--pictures", "0"), "drawing": ("--pictures", "1")}.get(stage, QUICK)
+    done = run(tmp_path, place, signal.SIGTERM, n, *more)
     assert done.returncode == 143, done.stderr
     assert "Traceback" not in done.stderr
     if n_done is None:
@@ -98,7 +107,7 @@ def test_a_live_run_that_is_asked_to_end_at_any_moment(moment: int, tmp_path: Pa
     rng, (place, _, _) = np.random.default_rng(moment), STAGES["tracking"]
     number = (signal.SIGINT, signal.SIGTERM)[moment % 2]
     n, delay_s = int(rng.integers(1, N)), float(rng.uniform(0.0, 0.05))
-    live = ("--pictures", "0", "--schedule", "live", "--speed", "0", "--map", "a.stillmap")
+    live = (*QUICK, "--schedule", "live", "--speed", "0", "--map", "a.stillmap")
     done = run(tmp_path, place, number, n, *live, delay_s=delay_s)
     assert done.returncode == 128 + number, done.stderr
     assert "Traceback" not in done.stderr
@@ -111,7 +120,7 @@ def test_a_live_run_that_is_asked_to_end_at_any_moment(moment: int, tmp_path: Pa
 @pytest.mark.parametrize("name", ["SIGINT", "SIGHUP"])
 def test_every_signal_has_its_exit_code(name: str, tmp_path: Path) -> None:
     place, n, n_done = STAGES["tracking"]
-    done = run(tmp_path, place, getattr(signal, name), n, "--pictures", "0", "--map", "room.stillmap")
+    done = run(tmp_path, place, getattr(signal, name), n, *QUICK, "--map", "room.stillmap")
     assert done.returncode == CODES[name], done.stderr
     assert n_done is not None
     assert_kept(tmp_path / "out", n_done)
@@ -121,16 +130,17 @@ def test_every_signal_has_its_exit_code(name: str, tmp_path: Path) -> None:
 def test_under_nohup_a_closed_console_is_not_heard(tmp_path: Path) -> None:
     place, n, _ = STAGES["tracking"]
     code = f"import signal; signal.signal(signal.SIGHUP, signal.SIG_IGN)\n{RUN}"
-    words = [sys.executable, "-c", code, place, str(int(signal.SIGHUP)), str(n), "--pictures", "0"]
+    words = [sys.executable, "-c", code, place, str(int(signal.SIGHUP)), str(n), *QUICK]
     done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stderr
     assert_kept(tmp_path / "out", N)
 
 
-def test_a_console_that_is_closed(tmp_path: Path) -> None:
+def test_a_console_that_is_closed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The terminal goes away in the middle: SIGHUP comes, and nothing can be written to it any more."""
+    monkeypatch.setenv("ROOM", "synthetic:empty")
     ours, theirs = os.openpty()
-    words = [sys.executable, "-c", HEARD.replace(f":{N}", ":200"), "", "0", "0", "--pictures", "0"]
+    words = [sys.executable, "-c", HEARD.replace(f":{N}", ":200"), "", "0", "0", *QUICK]
     with subprocess.Popen(words, cwd=tmp_path, preexec_fn=lambda: os.login_tty(theirs)) as process:
         os.close(theirs)
         shown = b""

@@ -11,11 +11,11 @@ from stillroom.optimize.depth_offset import ClockOffset
 from stillroom.optimize.depth_scale import DepthScale
 from stillroom.pipeline.depth import DepthCalibration, WithDepthClock, calibrate_depth
 from stillroom.presets.registry import configure
+from stillroom_scenes.room import CAMERA
 
 STATIC = configure("orb-slam2")
 SWAYING = "synthetic:empty,frames=150"
 MS = 1e-3
-CAMERA = open_dataset("synthetic:empty,frames=1,cache=off").camera
 
 
 @pytest.mark.slow

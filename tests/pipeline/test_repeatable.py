@@ -30,7 +30,8 @@ def test_in_the_synthetic_room(name: str, tmp_path: Path) -> None:
     assert_same_bytes(Source("synthetic:walking,frames=45"), config, tmp_path)
 
 
+@pytest.mark.parametrize("frames", ["210:260", pytest.param("210:330", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", ["orb-slam2", "oc-slam"])
-def test_on_120_real_frames(name: str, bonn: Path, tmp_path: Path) -> None:
+def test_on_real_frames(name: str, frames: str, bonn: Path, tmp_path: Path) -> None:
     """With the detector, in a stretch in which people walk."""
-    assert_same_bytes(Source(str(bonn), frames="210:330"), method(name).config, tmp_path)
+    assert_same_bytes(Source(str(bonn), frames=frames), method(name).config, tmp_path)

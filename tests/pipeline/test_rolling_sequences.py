@@ -96,7 +96,7 @@ def test_where_the_readout_is_nothing_the_global_shutter_is_kept_to_the_byte() -
     assert trajectories[0].tobytes() == trajectories[1].tobytes()
 
 
-@pytest.mark.parametrize("taken_s", [0.0, READOUT_S])
+@pytest.mark.parametrize("taken_s", [pytest.param(0.0, marks=pytest.mark.slow), READOUT_S])
 def test_the_same_input_gives_the_same_bytes(taken_s: float) -> None:
     once = trial(Shutter(READOUT_S, taken_s))
     room = open_dataset(f"{TURNING},readout_ms={1e3 * READOUT_S:g}")

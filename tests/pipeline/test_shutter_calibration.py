@@ -20,8 +20,8 @@ MS = 1e-3
     ("spec", "readout_ms"),
     [
         (TURNING, 25.0),
-        (TURNING, 10.0),
-        (f"{TURNING},room=library,seed=3", 30.0),
+        pytest.param(TURNING, 10.0, marks=pytest.mark.slow),
+        pytest.param(f"{TURNING},room=library,seed=3", 30.0, marks=pytest.mark.slow),
         ("synthetic:empty,frames=150", 25.0),
     ],
 )
@@ -34,7 +34,7 @@ def test_a_rendered_readout_is_found_within_two_milliseconds(spec: str, readout_
     assert found.line == f"readout_s = {found.found.readout_s:.4f}  # ± {found.found.sigma_s:.4f}"
 
 
-@pytest.mark.parametrize("spec", [TURNING, "synthetic:empty,frames=150"])
+@pytest.mark.parametrize("spec", [TURNING, pytest.param("synthetic:empty,frames=150", marks=pytest.mark.slow)])
 def test_a_global_shutter_has_none_within_its_uncertainty(spec: str) -> None:
     found = calibrate_shutter(open_dataset(spec), STATIC)
     assert abs(found.found.readout_s) < 2.0 * found.found.sigma_s
@@ -52,7 +52,7 @@ def test_the_readout_that_a_camera_says_it_has_does_not_count() -> None:
 
 
 def test_a_camera_at_rest_is_refused_in_one_line() -> None:
-    room = open_dataset("synthetic:empty,path=still,frames=60,readout_ms=25")
+    room = open_dataset("synthetic:empty,path=still,frames=45,readout_ms=25")
     with pytest.raises(CalibrationError, match=r"the motion does not tell the readout .*turn the camera") as caught:
         calibrate_shutter(room, STATIC)
     assert "\n" not in str(caught.value)

@@ -4,6 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from made_once import made_once
 
 from stillroom.pipeline import RunOptions, Source, run
 from stillroom.presets.registry import configure
@@ -17,9 +18,12 @@ N_FRAMES = 36
 def four(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """Results folders by method: the first with a second seed, as `again`."""
     source = replace(ROOM, frames=f":{N_FRAMES}")
-    folder, found = tmp_path_factory.mktemp("four"), {}
-    for name, method, seed in (*((m, m, 0) for m in METHODS), ("again", METHODS[0], 5)):
-        found[name] = folder / name
-        options = RunOptions(folder=found[name], pictures=2, source=source)
-        run(source.open(), configure(method, None, [f"seed={seed}"]), options)
-    return found
+    asked = {**{method: (method, 0) for method in METHODS}, "again": (METHODS[0], 5)}
+
+    def make(folder: Path) -> None:
+        for name, (method, seed) in asked.items():
+            options = RunOptions(folder=folder / name, pictures=2, source=source)
+            run(source.open(), configure(method, None, [f"seed={seed}"]), options)
+
+    folder = made_once(tmp_path_factory, "four", make)
+    return {name: folder / name for name in asked}

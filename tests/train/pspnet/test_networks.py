@@ -1,5 +1,6 @@
 """The networks against what is known of them: parameters, shapes, and the names in OpenMMLab's checkpoint."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -139,15 +140,15 @@ def test_openmmlabs_checkpoint_is_taken_over() -> None:
 @pytest.mark.parametrize(
     ("stored", "says"),
     [
-        (checkpoint(**{"decode_head.conv_seg.weight": (19, 512, 1, 1)}), "is of shape (19, 512, 1, 1)"),
-        (checkpoint(**{"backbone.layer3.5.bn2.weight": None}), "no weights 'backbone.layer3.5.bn2.weight'"),
-        ([1, 2], "holds no weights by name"),
+        (lambda: checkpoint(**{"decode_head.conv_seg.weight": (19, 512, 1, 1)}), "is of shape (19, 512, 1, 1)"),
+        (lambda: checkpoint(**{"backbone.layer3.5.bn2.weight": None}), "no weights 'backbone.layer3.5.bn2.weight'"),
+        (lambda: [1, 2], "holds no weights by name"),
     ],
     ids=["shape", "absent", "list"],
 )
-def test_another_networks_checkpoint_is_told_in_one_line(stored, says: str) -> None:
+def test_another_networks_checkpoint_is_told_in_one_line(stored: Callable[[], object], says: str) -> None:
     with pytest.raises(WeightsError) as told:
-        named_weights(stored, RESNET, Path("r50.pth"))
+        named_weights(stored(), RESNET, Path("r50.pth"))
     assert says in str(told.value)
     assert str(told.value).startswith("r50.pth: ")
     assert "\n" not in str(told.value)

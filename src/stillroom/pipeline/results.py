@@ -215,7 +215,7 @@ def write_config(folder: Path, origin: Origin, config: SlamConfig, options: RunO
 
 def lagged_name(system: System) -> str:
     """Return the name of the file with the poses as settled a few frames later."""
-    return f"trajectory_lag{system.prior.lag}.tum"
+    return f"trajectory_lag{system.told.lag}.tum"
 
 
 def write_results(folder: Path, outcome: RunOutcome, truth: Truth | None) -> DenseCloud | None:

@@ -4,7 +4,7 @@
 config.toml              the effective config; in `[run]`, which configures nothing, how it came about
 trajectory.tum           final poses: each frame on its reference keyframe's corrected pose; here and below, a comment
                          says where they are up to scale
-trajectory_online.tum    poses as they were known when the frame was tracked
+trajectory_online.tum    poses as they were told when the frame was tracked
 trajectory_lag5.tum      poses as settled five frames later, of methods whose trajectory has a prior
 keyframes.tum            keyframes of the map
 frames.csv               every image with its state: tracked, lost, or unreadable; the sub-map of its pose, and

@@ -11,7 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64
-from stillroom.optimize.trajectory_kernels import log_between, move_chain
+from stillroom.geometry.twist_kernels import log_between
+from stillroom.optimize.trajectory_kernels import move_chain
 from stillroom.optimize.trajectory_prior import WINDOW, TrajectoryFilter, TrajectoryPriorConfig, prior_of, smoothed
 
 CONFIG = TrajectoryPriorConfig(enabled=True)

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from stillroom.compiled import njit
-from stillroom.geometry.arrays import F64, Bool, Floats
+from stillroom.geometry.arrays import F32, F64, Bool, Floats
 from stillroom.geometry.camera import Camera
 from stillroom.optimize.observations import (
     MIN_DEPTH_M,
@@ -173,6 +173,9 @@ def robust_rows(
             if step >= 0.0:
                 trial_cost = linearize_rows(T_trial, v_trial, seen, is_inlier, deltas2, H_trial, b_trial)
             if not trial_cost <= cost:
+                if trial_cost - cost <= _TINY_DECREASE * cost:  # as far as the derivatives, to the first order, lead
+                    converged = True
+                    break
                 damping *= 10.0
                 continue
             decrease = cost - trial_cost
@@ -209,6 +212,34 @@ def at_mid_frame(px: Floats, depth_m: Floats, typical_m: float, after_s: F64, ve
         z2 = max(zz + dz + 0.5 * (a * dy - b * dx), MIN_DEPTH_M)
         moved[i, 0], moved[i, 1] = fx * x2 / z2 + cx, fy * y2 / z2 + cy
     return moved
+
+
+@njit(nogil=True, cache=True)
+def keypoints_at_mid_frame(
+    px: F32, depth_m: F32, raw_y_px: F32, typical_m: float, timing: tuple[float, float], velocity: F64, intrinsics: F64
+) -> tuple[F32, F32]:
+    """Return where keypoints would be seen at mid-frame (N, 2) [px], and their right coordinates (N,) [px].
+
+    Args:
+        px: Where they are seen (N, 2) [px].
+        depth_m: Their depth (N,) [m]; 0 where unknown. Those lie at the median of the others.
+        raw_y_px: Their rows in the image as taken (N,).
+        typical_m: The depth where that of none is known [m].
+        timing: Rows of an image, and how long they take to be read [s].
+        velocity: Of the camera (6,) [m/s, rad/s].
+        intrinsics: Those of `intrinsics_of` (6,).
+    """
+    height, readout_s = timing
+    known = depth_m[depth_m > 0]
+    if len(known) > 0:
+        typical_m = float(np.median(known))
+    after_s = ((raw_y_px.astype(np.float64) + 0.5) / height - 0.5) * readout_s
+    moved = at_mid_frame(px, depth_m, typical_m, after_s, velocity, intrinsics).astype(np.float32)
+    right_px, bf = np.full(len(px), -1.0, np.float32), np.float32(intrinsics[4])
+    for i in range(len(px)):
+        if depth_m[i] > 0:
+            right_px[i] = moved[i, 0] - bf / depth_m[i]
+    return moved, right_px
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,6 @@ from stillroom.geometry.camera import Camera
 from stillroom.optimize.observations import (
     MIN_DEPTH_M,
     behind_chi_square,
-    camera_blocks,
     chi_square,
     huber,
     intrinsics_of,
@@ -139,6 +138,7 @@ def linearize_rows(
             sums_0[k] += values[k]
             sums_1[k] += after_s * values[k]
             sums_2[k] += after_s2 * values[k]
+    H[:] = 0.0
     k = 0
     for r in range(6):
         b[r], b[6 + r] = sums_0[21 + r], sums_1[21 + r]

@@ -79,12 +79,13 @@ class ToldPoses:
         """Estimate the newest poses, and return that of a new frame (4, 4); None where it has none."""
         if result.T_reference_cam is None or result.T_world_cam is None:
             return None
-        newest = self._together(result, before)
-        keyframes = np.array([each.reference_keyframe for each in newest])
-        own = _as_known_now(keyframes, [each.T_reference_cam for each in newest], self._world)
+        with self._world.lock:  # an image that repeats the one before comes while mapping goes on
+            newest = self._together(result, before)
+            keyframes = np.array([each.reference_keyframe for each in newest])
+            own = _as_known_now(keyframes, [each.T_reference_cam for each in newest], self._world)
+            submap = int(self._world.keyframes.submap[result.reference_keyframe])
         times_s = np.array([each.timestamp_s for each in newest])
         poses = self._filter.add(times_s, own, np.array([each.n_agreeing for each in newest], dtype=np.float64))
-        submap = int(self._world.keyframes.submap[result.reference_keyframe])
         self._told.append(_Told(result.timestamp_s, result.T_world_cam, submap))
         for told, T_world_cam in zip(self._told[-self.lag - 1 :][::-1], poses[::-1], strict=False):
             told.T_world_cam, told.submap = T_world_cam.copy(), submap

@@ -30,7 +30,6 @@ from stillroom.geometry.camera import Camera
 from stillroom.loops.joining import SubmapJoiner
 from stillroom.loops.loop_closer import LoopClosing
 from stillroom.mapping.local_mapper import LocalMapper
-from stillroom.optimize.trajectory_prior import TrajectoryPriorConfig, lagged, smoothed
 from stillroom.protocols import (
     Clusterer,
     DenseMapping,
@@ -51,6 +50,7 @@ from stillroom.tracking.keyframe_policy import KeyframePolicy
 from stillroom.tracking.last_look import LastLook, NoLastLook
 from stillroom.tracking.relocalizer import Relocalizer
 from stillroom.tracking.start import DepthStart, Start
+from stillroom.tracking.told_poses import OwnPoses, ToldPoses, told_poses
 from stillroom.tracking.tracker import Tracker
 from stillroom.viz.no_observer import NoObserver
 
@@ -79,7 +79,7 @@ class System:
     keeper: MapKeeping
     map: Map
     observer: RunObserver
-    prior: TrajectoryPriorConfig
+    told: ToldPoses | OwnPoses
     last_look: LastLook | NoLastLook
     results: list[FrameSummary] = field(default_factory=list)
     first_keyframe: int = 0
@@ -135,6 +135,7 @@ class System:
             n_agreeing=0,
         )  # fmt: skip
         self.n_repeated += 1
+        self.told.repeat(repeated, self.results)
         self.results.append(repeated.summary)
         self.last_look.repeat()
         self.keeper.note(repeated.summary)
@@ -147,11 +148,8 @@ class System:
         """
         placed = self._in_main()
         poses = [self._pose_now(result) for result in placed]
-        final = self._as_trajectory([result.timestamp_s for result in placed], poses)
-        if not self.prior.enabled:
-            return final
-        known = _as_arrays(final, [result.n_agreeing_finally for result in placed])
-        return replace(final, T_world_cam=smoothed(*known, self.prior))
+        own = self._as_trajectory([result.timestamp_s for result in placed], poses)
+        return self.told.in_the_end(own, [result.n_agreeing_finally for result in placed])
 
     def online_trajectory(self) -> Trajectory:
         """Return the poses as `process` returned them, of frames that were in the main sub-map at that moment."""
@@ -161,12 +159,7 @@ class System:
 
     def lagged_trajectory(self) -> Trajectory | None:
         """Return the online poses each as settled a few frames later, under the prior; None where there is no prior."""
-        if not self.prior.enabled:
-            return None
-        main = self.main_submap
-        placed = [result for result in self.results if result.T_world_cam is not None and result.submap == main]
-        online = self.online_trajectory()
-        return replace(online, T_world_cam=lagged(*_as_arrays(online, [r.n_agreeing for r in placed]), self.prior))
+        return self.told.lagged(self.main_submap)
 
     def keyframe_trajectory(self) -> Trajectory:
         """Return the poses of this run's keyframes in the main sub-map; those of earlier runs are left out."""
@@ -279,6 +272,7 @@ class System:
             motion=replace(tracked.motion, is_static=tracked.is_static),
             keypoints=frame.keypoints,
         )
+        result = self.told.at_once(result, self.results)
         self.results.append(result.summary)
         self.last_look.keep(tracked)
         self.keeper.note(result.summary)
@@ -382,7 +376,7 @@ def build(
         keeper=timed_part(keeper, clock, keep="storage") if keeper else NoKeeper(),
         map=world,
         observer=observer or NoObserver(),
-        prior=config.trajectory,
+        told=told_poses(config.trajectory, world),
         last_look=config.last_look.build(parts, tracker, config.trajectory),
         first_keyframe=len(world.keyframes),
     )
@@ -443,8 +437,3 @@ def segmenter_of(
     world = Map(config.features.scales(camera, sensor), sensor)
     parts = Parts(camera, world, config.seed, schedule=schedule or InOrder(), sensor=sensor)
     return in_pixels_of(config.semantics, camera.pixel_scale).build(parts)
-
-
-def _as_arrays(trajectory: Trajectory, n_agreeing: list[int]) -> tuple[F64, F64, F64]:
-    """Return times (N,) and poses (N, 4, 4) of a trajectory, and how many points agree with each (N,)."""
-    return trajectory.timestamps_s, trajectory.T_world_cam, np.array(n_agreeing, dtype=np.float64)

@@ -30,6 +30,7 @@ def test_exponential_and_logarithm_are_those_of_matrices(angle_rad: float) -> No
     T = twists.exp(r)
     np.testing.assert_allclose(T, [expm(hat(one)) for one in r], atol=1e-13)
     np.testing.assert_allclose(twists.log(T), r, atol=1e-12)
+    np.testing.assert_allclose([twists.of_motion(one) for one in T], r, atol=1e-12)
     if 1e-4 < angle_rad < 3.0:
         expected = np.real(logm(T[0]))
         np.testing.assert_allclose(hat(twists.log(T)[0]), expected, atol=1e-9)

@@ -7,7 +7,16 @@ from scipy.linalg import expm
 
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64
-from stillroom.optimize.readout import FrameEvidence, RowsSeen, agreed, of_frame, velocities
+from stillroom.optimize.readout import (
+    FrameEvidence,
+    RowsSeen,
+    agreed,
+    eliminate,
+    of_block,
+    of_equations,
+    of_frame,
+    velocities,
+)
 
 N_FRAMES, RATE_HZ = 120, 30.0
 SQUARED = 4
@@ -151,3 +160,38 @@ def test_a_frame_that_sees_too_little_says_nothing() -> None:
     seen = frames(0.0, np.zeros(6))[0]
     few = RowsSeen(seen.time_s, *(part[:20] for part in seen[1:]))
     assert of_frame(few, np.eye(4), np.full(6, 0.1), CAMERA, 0.02) is None
+
+
+@pytest.mark.parametrize("unknowns", [(0, 6), (1, 7)])
+def test_what_is_left_after_elimination_is_the_schur_complement(unknowns: tuple[int, int]) -> None:
+    rng = np.random.default_rng(8)
+    J, e = rng.normal(size=(30, 12)), rng.normal(size=30)
+    H, b = J.T @ J, J.T @ e
+    gone, left = np.arange(*unknowns), np.delete(np.arange(12), np.arange(*unknowns))
+    pull = H[np.ix_(left, gone)] @ np.linalg.inv(H[np.ix_(gone, gone)])
+    expected = H[np.ix_(left, left)] - pull @ H[np.ix_(gone, left)], b[left] - pull @ b[gone]
+    eliminate(H, b, *unknowns)
+    np.testing.assert_allclose(H[np.ix_(left, left)], expected[0], atol=1e-10)
+    np.testing.assert_allclose(b[left], expected[1], atol=1e-10)
+
+
+def test_an_unknown_of_which_nothing_is_known_is_left_out() -> None:
+    H, b = np.diag([2.0, 0.0, 3.0]), np.array([1.0, 0.0, 3.0])
+    eliminate(H, b, 0, 2)
+    assert H[2, 2] == 3.0
+    assert b[2] == 3.0
+
+
+def test_a_readout_found_with_pose_and_twist_is_that_of_least_squares() -> None:
+    """Of equations of pose and twist, twist = ρ ν + b, with b near 0: ρ as numpy solves for all of them at once."""
+    rng = np.random.default_rng(9)
+    J, e, velocity = rng.normal(size=(60, 12)), rng.normal(size=60), rng.normal(size=6)
+    evidence = of_equations(np.tril(J.T @ J), J.T @ e, np.zeros(6), velocity)
+    by_all = np.column_stack((J[:, :6], J[:, 6:] @ velocity, J[:, 6:]))
+    prior = np.zeros((6, 13))
+    prior[:, 7:] = np.diag(1.0 / np.repeat((0.02, 0.02), 3))
+    rows = np.concatenate((by_all, prior))
+    expected = np.linalg.lstsq(rows, -np.concatenate((e, np.zeros(6))), rcond=None)[0]
+    readout_s, information = of_block([evidence])
+    assert readout_s == pytest.approx(expected[6], rel=1e-8)
+    assert information == pytest.approx(1.0 / np.linalg.inv(rows.T @ rows)[6, 6], rel=1e-8)

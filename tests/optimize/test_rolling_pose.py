@@ -16,6 +16,7 @@ from stillroom.optimize.rolling_pose import (
     at_mid_frame,
     classify_rows,
     damped_step_rows,
+    keypoints_at_mid_frame,
     linearize_rows,
     seen_from,
 )
@@ -250,3 +251,21 @@ def test_keypoints_are_moved_to_where_the_middle_of_the_frame_sees_them(seed: in
     np.testing.assert_array_equal(
         unknown, at_mid_frame(px, np.full(len(px), 2.0), 9.0, p.after_s, p.velocity, INTRINSICS)
     )
+
+
+@pytest.mark.parametrize("known", [0.0, 0.6, 1.0])
+def test_keypoints_at_mid_frame_have_the_depth_of_the_others_where_theirs_is_unknown(known: float) -> None:
+    rng = np.random.default_rng(6)
+    px = rng.uniform(0, 480, (51, 2)).astype(np.float32)
+    depth_m = np.where(rng.random(51) < known, rng.uniform(1, 4, 51), 0.0).astype(np.float32)
+    velocity = np.array([0.3, -0.1, 0.2, 0.4, -0.8, 0.5])
+    found, right_px = keypoints_at_mid_frame(px, depth_m, px[:, 1], 2.0, (480.0, READOUT_S), velocity, INTRINSICS)
+    is_known = depth_m > 0
+    typical_m = np.median(depth_m[is_known]) if is_known.any() else 2.0
+    assert is_known.mean() == pytest.approx(known, abs=0.2)
+    after_s = ((px[:, 1].astype(np.float64) + 0.5) / 480 - 0.5) * READOUT_S
+    expected = at_mid_frame(px, np.where(is_known, depth_m, np.float32(typical_m)), 1.0, after_s, velocity, INTRINSICS)
+    np.testing.assert_array_equal(found, expected.astype(np.float32))
+    assert np.abs(found - px).max() > 1.0
+    np.testing.assert_allclose(right_px[is_known], found[is_known, 0] - CAMERA.bf / depth_m[is_known], rtol=1e-6)
+    assert (right_px[~is_known] == -1.0).all()

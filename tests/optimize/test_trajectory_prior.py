@@ -1,13 +1,19 @@
-"""The trajectory prior against a dense least-squares of the same cost, written from the formulas, by scipy."""
+"""The trajectory prior against a dense least-squares of the same cost, written from the formulas, by scipy.
+
+The kernels are compared with plain numpy beside that, and the filter with an estimate of its window as a whole.
+"""
 
 import numpy as np
 import pytest
+from plain_trajectory_prior import smoothed_piece
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from stillroom.geometry import se3
 from stillroom.geometry.arrays import F64
-from stillroom.optimize.trajectory_prior import WINDOW, TrajectoryPriorConfig, lagged, smoothed
+from stillroom.geometry.twist_kernels import log_between
+from stillroom.optimize.trajectory_kernels import move_chain
+from stillroom.optimize.trajectory_prior import WINDOW, TrajectoryFilter, TrajectoryPriorConfig, prior_of, smoothed
 
 CONFIG = TrajectoryPriorConfig(enabled=True)
 RATE_HZ = 30.0
@@ -68,6 +74,18 @@ def oracle(times_s: F64, T: F64, n_inliers: F64, config: TrajectoryPriorConfig =
     return np.asarray(T @ exponential(found.x.reshape(n, 6)))
 
 
+def filtered(times_s: F64, T: F64, n_inliers: F64, config: TrajectoryPriorConfig = CONFIG) -> tuple[F64, F64]:
+    """What the filter says of each pose at once, and `lag` frames later."""
+    newest, at_once, later = TrajectoryFilter(config), T.copy(), T.copy()
+    for i in range(len(T)):
+        window = slice(max(0, i + 1 - newest.reach), i + 1)
+        found = newest.add(times_s[window], T[window], n_inliers[window])
+        at_once[i] = found[-1]
+        settled = slice(max(window.start, i - config.lag), i + 1)
+        later[settled] = found[settled.start - window.start :]
+    return at_once, later
+
+
 def off(T: F64, other: F64) -> F64:
     return np.asarray(np.linalg.norm(logarithm(np.linalg.inv(T) @ other), axis=1))
 
@@ -125,17 +143,98 @@ def test_pieces_between_gaps_are_estimated_each_by_itself() -> None:
     assert (off(found[:47], T[:47]) > 0).all()
 
 
-def test_a_lagged_pose_knows_nothing_of_what_comes_later() -> None:
+@pytest.mark.parametrize("iterations", [1, 3])
+def test_the_kernels_come_to_what_plain_numpy_does(iterations: int) -> None:
+    rng = np.random.default_rng(2)
+    times_s = np.cumsum(rng.choice([1, 1, 2, 3], 90)) / RATE_HZ + rng.uniform(-0.004, 0.004, 90)
+    T, n_inliers = noisy(times_s, 9), rng.uniform(0, 600, 90)
+    prior, found = prior_of(n_inliers, CONFIG), T.copy()
+    move_chain(times_s, T, prior, iterations, found)
+    plain = smoothed_piece(times_s, T, n_inliers, CONFIG, iterations)
+    np.testing.assert_allclose(found, plain, atol=1e-12)
+    assert off(found, T).max() > 0.005
+
+
+@pytest.mark.parametrize("turn_rad", [0.0, 1e-9, 1e-4, 0.049, 0.051, 1.0, 3.0, np.pi])
+def test_the_motion_between_two_poses(turn_rad: float) -> None:
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        axis = rng.normal(size=3)
+        twist = np.concatenate((rng.normal(size=3), turn_rad * axis / np.linalg.norm(axis)))
+        first, between, found = hand(np.array([0.7]))[0], np.zeros((3, 4)), np.zeros(6)
+        log_between(first, first @ exponential(twist[None])[0], between, found)
+        np.testing.assert_allclose(between, exponential(twist[None])[0][:3], atol=1e-12)
+        # Half a turn has two vectors: the motion is the same.
+        np.testing.assert_allclose(exponential(found[None])[0], exponential(twist[None])[0], atol=1e-8)
+        assert np.linalg.norm(found[3:]) <= np.pi + 1e-12
+        if turn_rad < np.pi:
+            np.testing.assert_allclose(found, twist, atol=1e-8)
+
+
+def test_the_filter_says_what_its_window_does_as_a_whole() -> None:
+    """One round a frame, from where the frame before left off, comes to the end of many rounds from anew."""
+    times_s = np.arange(80) / RATE_HZ
+    rng = np.random.default_rng(4)
+    T, n_inliers = noisy(times_s, 5), rng.uniform(50, 500, 80)
+    at_once, later = filtered(times_s, T, n_inliers)
+    newest, reach, moved = [], TrajectoryFilter(CONFIG).reach, []
+    for i in range(30, 80):
+        window = slice(i + 1 - reach, i + 1)
+        whole = smoothed_piece(times_s[window], T[window], n_inliers[window], CONFIG, 10)
+        newest.append((off(at_once[i : i + 1], whole[-1:])[0], off(later[i - 5 : i - 4], whole[-6:-5])[0]))
+        moved.append(off(T[i : i + 1], whole[-1:])[0])
+    assert np.sqrt(np.mean(np.square(moved))) > 0.001
+    assert np.max(newest, axis=0)[0] < 1e-4
+    assert np.max(newest, axis=0)[1] < 1e-5
+
+
+def test_a_pose_told_at_once_or_later_knows_nothing_of_what_comes_after() -> None:
     times_s = np.arange(45) / RATE_HZ
     T, n_inliers = noisy(times_s, 5), np.full(45, 300.0)
-    found = lagged(times_s, T, n_inliers, CONFIG)
-    at = 30
-    other = T.copy()
-    other[at + CONFIG.lag + 1 :] = np.eye(4)
-    np.testing.assert_array_equal(lagged(times_s, other, n_inliers, CONFIG)[at], found[at])
-    other = T.copy()
-    other[at + CONFIG.lag, :3, 3] += 0.05
-    assert np.abs(lagged(times_s, other, n_inliers, CONFIG)[at] - found[at]).max() > 1e-4
+    found, at = filtered(times_s, T, n_inliers), 30
+    for which, lag in enumerate((0, CONFIG.lag)):
+        other = T.copy()
+        other[at + lag + 1 :] = np.eye(4)
+        np.testing.assert_array_equal(filtered(times_s, other, n_inliers)[which][at], found[which][at])
+        other = T.copy()
+        other[at + lag, :3, 3] += 0.05
+        assert np.abs(filtered(times_s, other, n_inliers)[which][at] - found[which][at]).max() > 1e-4
+
+
+def test_told_at_once_a_trajectory_shakes_less_and_is_no_worse() -> None:
+    times_s = np.arange(400) / RATE_HZ
+    T, truth, n_inliers = noisy(times_s, 10), hand(times_s), np.full(400, 300.0)
+    at_once = filtered(times_s, T, n_inliers)[0]
+    shaken = [np.sqrt(np.mean(np.diff((poses - truth)[WINDOW:, :3, 3], n=2, axis=0) ** 2)) for poses in (T, at_once)]
+    assert shaken[1] < 0.6 * shaken[0]
+    errors = [np.sqrt(np.mean(off(truth, poses)[WINDOW:] ** 2)) for poses in (T, at_once)]
+    assert errors[1] < errors[0]
+
+
+def test_the_filter_follows_a_map_that_moves_all_at_once() -> None:
+    times_s = np.arange(60) / RATE_HZ
+    T, n_inliers, jump = noisy(times_s, 6), np.full(60, 300.0), exponential(np.array([[0.5, 0.1, 0, 0.2, 0.3, 0.1]]))[0]
+    one, other = TrajectoryFilter(CONFIG), TrajectoryFilter(CONFIG)
+    for i in range(60):
+        window = slice(max(0, i + 1 - one.reach), i + 1)
+        moved = jump @ T[window] if i >= 40 else T[window]
+        still = one.add(times_s[window], T[window], n_inliers[window])
+        found = other.add(times_s[window], moved, n_inliers[window])
+        np.testing.assert_allclose(found, jump @ still if i >= 40 else still, atol=1e-9)
+
+
+def test_the_filter_can_begin_anew_at_any_frame() -> None:
+    """After a relocalization it is given fewer frames than before."""
+    times_s = np.arange(40) / RATE_HZ
+    T, n_inliers = noisy(times_s, 7), np.full(40, 300.0)
+    began, anew = TrajectoryFilter(CONFIG), TrajectoryFilter(CONFIG)
+    began.add(times_s[:26], T[:26], n_inliers[:26])
+    for i in range(30, 40):
+        np.testing.assert_allclose(
+            began.add(times_s[30 : i + 1], T[30 : i + 1], n_inliers[30 : i + 1]),
+            anew.add(times_s[30 : i + 1], T[30 : i + 1], n_inliers[30 : i + 1]),
+            atol=1e-5,
+        )
 
 
 def test_a_jump_of_the_map_is_no_motion() -> None:
@@ -149,14 +248,6 @@ def test_a_jump_of_the_map_is_no_motion() -> None:
     np.testing.assert_allclose(found[30:], smoothed(times_s[30:], jumped[30:], n_inliers[30:], CONFIG), atol=1e-9)
 
 
-def test_with_a_long_window_and_lag_a_lagged_pose_is_the_smoothed_one() -> None:
-    times_s = np.arange(WINDOW) / RATE_HZ
-    T, n_inliers = noisy(times_s, 6), np.full(WINDOW, 300.0)
-    patient = TrajectoryPriorConfig(enabled=True, lag=WINDOW)
-    found = lagged(times_s, T, n_inliers, patient)
-    np.testing.assert_allclose(found, smoothed(times_s, T, n_inliers, patient), atol=1e-12)
-
-
 def test_a_lag_costs_little_and_none_costs_more() -> None:
     times_s = np.arange(200) / RATE_HZ
     T, truth, n_inliers = noisy(times_s, 7), hand(times_s), np.full(200, 300.0)
@@ -164,7 +255,7 @@ def test_a_lag_costs_little_and_none_costs_more() -> None:
     def error(poses: F64) -> float:
         return float(np.sqrt(np.mean(off(truth, poses)[WINDOW:-10] ** 2)))
 
-    by_lag = [error(lagged(times_s, T, n_inliers, TrajectoryPriorConfig(enabled=True, lag=lag))) for lag in (0, 5)]
+    by_lag = [error(filtered(times_s, T, n_inliers)[which]) for which in (0, 1)]
     final = error(smoothed(times_s, T, n_inliers, CONFIG))
     assert final <= by_lag[1] * 1.02
     assert by_lag[1] < 0.85 * by_lag[0]
@@ -175,7 +266,8 @@ def test_too_few_poses_stay_as_they_are(n: int) -> None:
     times_s = np.arange(n) / RATE_HZ
     T = hand(times_s) if n else np.zeros((0, 4, 4))
     np.testing.assert_array_equal(smoothed(times_s, T, np.full(n, 300.0), CONFIG), T)
-    np.testing.assert_array_equal(lagged(times_s, T, np.full(n, 300.0), CONFIG), T)
+    for found in filtered(times_s, T, np.full(n, 300.0)):
+        np.testing.assert_array_equal(found, T)
 
 
 def test_poses_stay_rigid() -> None:

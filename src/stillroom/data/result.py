@@ -105,12 +105,13 @@ class FrameSummary:
     Attributes:
         index, timestamp_s: Place and time of the image in its sequence.
         state: State of tracking.
-        T_world_cam: Pose as known at this moment (4, 4); None when lost.
+        T_world_cam: Pose as told at this moment (4, 4), under the trajectory prior where there is one; None when lost.
         n_keypoints, n_static, n_inliers: Keypoints found, judged static, and agreeing with the pose.
         n_keyframes: Keyframes in the map after this frame.
         is_keyframe: Whether this frame became one.
         reference_keyframe: Id of the keyframe that the final trajectory refers this frame to; −1 when lost.
-        T_reference_cam: Pose in that keyframe (4, 4), as `Map.noted_in` notes it; None when lost.
+        T_reference_cam: The frame's own pose, found from its matches, in that keyframe (4, 4), as `Map.noted_in` notes
+            it; None when lost.
         submap: Id of the sub-map that the pose was in at this moment; it may be merged later.
         recovery: How the frame was relocalized, where tracking was lost before it.
         n_agreeing: Map points that the pose was found from: without those that a keyframe then made of its own depth,

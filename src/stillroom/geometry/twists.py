@@ -6,6 +6,7 @@ Twists are (ρ [m], φ [rad]), as in `se3.exp`. Formulas: Barfoot, State Estimat
 import numpy as np
 
 from stillroom.geometry.arrays import F64, Floats
+from stillroom.geometry.twist_kernels import log_of
 
 _SMALL_RAD = 0.05
 """Below this angle the coefficients come from their series, which is then exact to rounding."""
@@ -33,6 +34,13 @@ def log(T_a_b: Floats) -> F64:
     phi = np.asarray(Rotation.from_matrix(T_a_b[:, :3, :3]).as_rotvec(), dtype=np.float64)
     rho = np.einsum("nij,nj->ni", _inverse_left_jacobian_so3(phi), T_a_b[:, :3, 3])
     return np.concatenate((rho, phi), axis=1)
+
+
+def of_motion(T_a_b: Floats) -> F64:
+    """Return the twist (6,) of one motion (4, 4), as `log`, without the machinery for many."""
+    twist = np.empty(6)
+    log_of(np.ascontiguousarray(T_a_b, dtype=np.float64), twist)
+    return twist
 
 
 def adjoint(T_a_b: Floats) -> F64:

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from stillroom.compiled import njit
 from stillroom.geometry import se3, twists
 from stillroom.geometry.arrays import F64
 from stillroom.geometry.camera import Camera
@@ -20,6 +21,7 @@ from stillroom.optimize.observations import MIN_DEPTH_M
 ITERATIONS = 5
 SHEAR_M, SHEAR_RAD = 0.02, 0.02
 """Standard deviations of b: what 0.7 m/s and rad/s come to in 30 ms."""
+_OF_SHEAR = np.diag(np.repeat((SHEAR_M, SHEAR_RAD), 3) ** -2.0)
 HUBER = 2.0
 """In deviations of a keypoint."""
 LEAST_POINTS = 30
@@ -122,7 +124,6 @@ def of_frame(seen: RowsSeen, T_cam_world: F64, velocity: F64, camera: Camera, re
     if len(seen.share) < LEAST_POINTS:
         return None
     T, shear = T_cam_world, np.zeros(6)
-    prior = np.diag(np.repeat((SHEAR_M, SHEAR_RAD), 3) ** -2.0)
     for _ in range(ITERATIONS):
         x = se3.transform(T, seen.points_world_m)
         away = seen.share[:, None] * (readout_s * velocity + shear)
@@ -137,8 +138,10 @@ def of_frame(seen: RowsSeen, T_cam_world: F64, velocity: F64, camera: Camera, re
         weighted = good[:, None, None] * seen.weights[:, :, None] * J
         H, b = np.einsum("nka,nkb->ab", weighted, J), np.einsum("nka,nk->a", weighted, error)
         free = np.r_[0:6, 7:13]
-        with_prior = H[np.ix_(free, free)] + np.block([[np.zeros((6, 6)), np.zeros((6, 6))], [np.zeros((6, 6)), prior]])
-        step = -np.linalg.solve(with_prior, b[free] + np.concatenate((np.zeros(6), prior @ shear)))
+        with_prior = H[np.ix_(free, free)] + np.block(
+            [[np.zeros((6, 6)), np.zeros((6, 6))], [np.zeros((6, 6)), _OF_SHEAR]]
+        )
+        step = -np.linalg.solve(with_prior, b[free] + np.concatenate((np.zeros(6), _OF_SHEAR @ shear)))
         T, shear = twists.exp(step[None, :6])[0] @ T, shear + step[6:]
     pose_first = np.linalg.solve(H[:6, :6], np.column_stack((H[:6, 6:], b[:6])))
     information = H[6:, 6:] - H[6:, :6] @ pose_first[:, :7]
@@ -157,12 +160,39 @@ def of_equations(H: F64, b: F64, moved_with: F64, velocity: F64) -> FrameEvidenc
         moved_with: The twist (6,) by which its keypoints had been moved to mid-frame.
         velocity: Of the camera (6,) [m/s, rad/s].
     """
-    whole = np.tril(H) + np.tril(H, -1).T
-    pose_first = np.linalg.solve(whole[:6, :6], np.column_stack((whole[:6, 6:], b[:6])))
-    rows = whole[6:, 6:] - whole[6:, :6] @ pose_first[:, :6]
-    slope = rows @ moved_with - (b[6:] - whole[6:, :6] @ pose_first[:, 6])
+    rows, reduced = whole_of(H), np.array(b, dtype=np.float64)
+    eliminate(rows, reduced, 0, 6)  # the pose
+    slope = rows[6:, 6:] @ moved_with - reduced[6:]
     parts = np.column_stack((velocity, np.eye(6)))
-    return FrameEvidence(parts.T @ rows @ parts, parts.T @ slope, 0.0)
+    return FrameEvidence(parts.T @ rows[6:, 6:] @ parts, parts.T @ slope, 0.0)
+
+
+@njit(nogil=True, cache=True)
+def whole_of(H: F64) -> F64:
+    """Return a symmetric matrix (N, N) of which the lower triangle is given."""
+    whole = np.empty_like(H)
+    for i in range(len(H)):
+        for j in range(i + 1):
+            whole[i, j] = whole[j, i] = H[i, j]
+    return whole
+
+
+@njit(nogil=True, cache=True)
+def eliminate(H: F64, b: F64, first: int, end: int) -> None:
+    """Eliminate the unknowns from `first` to `end` from normal equations (N, N), (N,), in place, by Gauss.
+
+    What is left of the others is their Schur complement. Unknowns of which nothing is known are left out.
+    """
+    for p in range(first, end):
+        if not H[p, p] > 0.0:
+            continue
+        for i in range(len(H)):
+            if first <= i <= p:
+                continue
+            factor = H[i, p] / H[p, p]
+            for j in range(len(H)):
+                H[i, j] -= factor * H[p, j]
+            b[i] -= factor * b[p]
 
 
 def agreed(frames: list[FrameEvidence], seed: int = 0, block_frames: int = BLOCK_FRAMES) -> Readout:
@@ -190,10 +220,10 @@ def of_block(frames: list[FrameEvidence]) -> tuple[float, float]:
     """Return ρ [s] of frames that see one shear, which is eliminated, and the inverse variance of it [1/s²]."""
     H = np.sum([frame.information for frame in frames], axis=0)
     slope = np.sum([frame.slope for frame in frames], axis=0)
-    shear = H[1:, 1:] + np.diag(np.repeat((SHEAR_M, SHEAR_RAD), 3) ** -2.0)
-    eliminated = np.linalg.solve(shear, np.column_stack((H[1:, 0], slope[1:])))
-    information = max(float(H[0, 0] - H[0, 1:] @ eliminated[:, 0]), 1e-9)  # a camera that never moved tells nothing
-    return float(slope[0] - H[0, 1:] @ eliminated[:, 1]) / information, information
+    H[1:, 1:] += _OF_SHEAR
+    eliminate(H, slope, 1, 7)
+    information = max(float(H[0, 0]), 1e-9)  # a camera that never moved tells nothing
+    return float(slope[0]) / information, information
 
 
 def _mean(own: F64, information: F64) -> float:

@@ -13,12 +13,11 @@ from typing import NamedTuple
 import numpy as np
 
 from stillroom.compiled import njit
-from stillroom.geometry.arrays import F64, Bool, Floats
+from stillroom.geometry.arrays import F32, F64, Bool, Floats
 from stillroom.geometry.camera import Camera
 from stillroom.optimize.observations import (
     MIN_DEPTH_M,
     behind_chi_square,
-    camera_blocks,
     chi_square,
     huber,
     intrinsics_of,
@@ -32,6 +31,8 @@ from stillroom.optimize.pose import MIN_OBSERVATIONS, PoseOptimizerConfig, solve
 _FIRST_DAMPING = 1e-5
 _TINY_STEP = 1e-7
 _TINY_DECREASE = 1e-7
+_VALUES = 28
+"""Of a symmetric block (6, 6) and its slope, and one that makes them a multiple of four."""
 
 
 class SeenInRows(NamedTuple):
@@ -89,14 +90,32 @@ def classify_rows(
 
 
 @njit(nogil=True, cache=True)
+def camera_values(x: float, y: float, z: float, information: tuple[float, ...], values: F64) -> None:
+    """Write GᵀJᵀWJG, the lower triangle row by row, and then GᵀJᵀWe: as `camera_blocks`, one after the other."""
+    a00, a01, a02, a11, a12, a22, g0, g1, g2 = information
+    c00, c01, c02 = y * a02 - z * a01, y * a12 - z * a11, y * a22 - z * a12
+    c10, c11, c12 = z * a00 - x * a02, z * a01 - x * a12, z * a02 - x * a22
+    c20, c21, c22 = x * a01 - y * a00, x * a11 - y * a01, x * a12 - y * a02
+    values[0] = a00
+    values[1], values[2] = a01, a11
+    values[3], values[4], values[5] = a02, a12, a22
+    values[6], values[7], values[8], values[9] = c00, c01, c02, y * c02 - z * c01
+    values[10], values[11], values[12] = c10, c11, c12
+    values[13], values[14] = y * c12 - z * c11, z * c10 - x * c12
+    values[15], values[16], values[17] = c20, c21, c22
+    values[18], values[19], values[20] = y * c22 - z * c21, z * c20 - x * c22, x * c21 - y * c20
+    values[21], values[22], values[23] = g0, g1, g2
+    values[24], values[25], values[26] = y * g2 - z * g1, z * g0 - x * g2, x * g1 - y * g0
+
+
+@njit(nogil=True, cache=True)
 def linearize_rows(
     T: F64, velocity: F64, seen: SeenInRows, is_active: Bool, deltas2: tuple[float, float], H: F64, b: F64
 ) -> float:
     """Write the normal equations of pose and velocity, lower triangle of `H` (12, 12), `b` (12,); return the cost."""
-    H[:] = 0.0
-    b[:] = 0.0
     cost = 0.0
-    block, slope = np.empty((6, 6)), np.empty(6)
+    values = np.zeros(_VALUES)
+    sums_0, sums_1, sums_2 = np.zeros(_VALUES), np.zeros(_VALUES), np.zeros(_VALUES)  # Σ τᵏ of them
     for i in range(len(seen.points_world_m)):
         if not is_active[i]:
             continue
@@ -113,18 +132,20 @@ def linearize_rows(
         cost += seen.p_static[i] * rho
         error = residual(x, y, z, observed, seen.intrinsics, has_right)
         information = point_information((x, y, z), error, weight, seen.p_static[i] * factor, seen.intrinsics)
-        block[:] = 0.0
-        slope[:] = 0.0
-        camera_blocks(x, y, z, information, block, slope)
-        for r in range(6):
-            b[r] += slope[r]
-            b[6 + r] += after_s * slope[r]
-            for c in range(6):
-                value = block[r, c] if c <= r else block[c, r]
-                if c <= r:
-                    H[r, c] += value
-                    H[6 + r, 6 + c] += after_s * after_s * value
-                H[6 + r, c] += after_s * value
+        camera_values(x, y, z, information, values)
+        after_s2 = after_s * after_s
+        for k in range(_VALUES):
+            sums_0[k] += values[k]
+            sums_1[k] += after_s * values[k]
+            sums_2[k] += after_s2 * values[k]
+    H[:] = 0.0
+    k = 0
+    for r in range(6):
+        b[r], b[6 + r] = sums_0[21 + r], sums_1[21 + r]
+        for c in range(r + 1):
+            H[r, c], H[6 + r, 6 + c] = sums_0[k], sums_2[k]
+            H[6 + r, c] = H[6 + c, r] = sums_1[k]
+            k += 1
     for r in range(6):
         off = velocity[r] - seen.expected[r]
         cost += seen.information[r] * off * off
@@ -173,6 +194,9 @@ def robust_rows(
             if step >= 0.0:
                 trial_cost = linearize_rows(T_trial, v_trial, seen, is_inlier, deltas2, H_trial, b_trial)
             if not trial_cost <= cost:
+                if trial_cost - cost <= _TINY_DECREASE * cost:  # as far as the derivatives, to the first order, lead
+                    converged = True
+                    break
                 damping *= 10.0
                 continue
             decrease = cost - trial_cost
@@ -209,6 +233,34 @@ def at_mid_frame(px: Floats, depth_m: Floats, typical_m: float, after_s: F64, ve
         z2 = max(zz + dz + 0.5 * (a * dy - b * dx), MIN_DEPTH_M)
         moved[i, 0], moved[i, 1] = fx * x2 / z2 + cx, fy * y2 / z2 + cy
     return moved
+
+
+@njit(nogil=True, cache=True)
+def keypoints_at_mid_frame(
+    px: F32, depth_m: F32, raw_y_px: F32, typical_m: float, timing: tuple[float, float], velocity: F64, intrinsics: F64
+) -> tuple[F32, F32]:
+    """Return where keypoints would be seen at mid-frame (N, 2) [px], and their right coordinates (N,) [px].
+
+    Args:
+        px: Where they are seen (N, 2) [px].
+        depth_m: Their depth (N,) [m]; 0 where unknown. Those lie at the median of the others.
+        raw_y_px: Their rows in the image as taken (N,).
+        typical_m: The depth where that of none is known [m].
+        timing: Rows of an image, and how long they take to be read [s].
+        velocity: Of the camera (6,) [m/s, rad/s].
+        intrinsics: Those of `intrinsics_of` (6,).
+    """
+    height, readout_s = timing
+    known = depth_m[depth_m > 0]
+    if len(known) > 0:
+        typical_m = float(np.median(known))
+    after_s = ((raw_y_px.astype(np.float64) + 0.5) / height - 0.5) * readout_s
+    moved = at_mid_frame(px, depth_m, typical_m, after_s, velocity, intrinsics).astype(np.float32)
+    right_px, bf = np.full(len(px), -1.0, np.float32), np.float32(intrinsics[4])
+    for i in range(len(px)):
+        if depth_m[i] > 0:
+            right_px[i] = moved[i, 0] - bf / depth_m[i]
+    return moved, right_px
 
 
 @dataclass(frozen=True)

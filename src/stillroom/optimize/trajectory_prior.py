@@ -2,7 +2,8 @@
 
 The prior is white noise on jerk (Barfoot, State Estimation for Robotics, 2017, section 3.4, on SE(3) as in its section
 11.1): the velocity between two frames changes as steadily as a hand's. A frame's own pose counts by the number of map
-points that agree with it. The estimate is found by Gauss–Newton on a banded system.
+points that agree with it. The estimate is found by Gauss–Newton on a banded system (`optimize/trajectory_kernels.py`):
+of all frames when a run ends, and of the newest ones after each frame.
 """
 
 from dataclasses import dataclass
@@ -10,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from stillroom.bounds import bounded
-from stillroom.geometry import se3, twists
 from stillroom.geometry.arrays import F64, Floats
+from stillroom.optimize.trajectory_kernels import Prior, follow, move_pieces
 
 STEP_S = 1.0 / 30.0
 """The frame rate at which the standard deviations are given."""
@@ -21,9 +22,10 @@ LONGEST_STEP_S = 0.25
 FASTEST_M_S = 5.0
 """A faster step is no motion: the map was corrected there."""
 ITERATIONS = 3
+ROUNDS_AT_ONCE = 1
+"""Rounds after a new frame: the others start from where the frame before left them."""
 WINDOW = 20
-"""Earlier frames that a lagged pose is estimated with; what lies further back hardly moves it."""
-BAND = 3 * 6 + 6
+"""Frames before it that a lagged pose is estimated with; what lies further back hardly moves it."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +33,7 @@ class TrajectoryPriorConfig:
     """The prior, and how far a frame's own pose is trusted.
 
     Attributes:
-        enabled: Whether the final trajectory is estimated under it.
+        enabled: Whether trajectories are estimated under it: what is told of each frame at once, and the final one.
         position_m, rotation_rad: Standard deviation of a frame's own pose with which `typical_inliers` points agree.
         typical_inliers: That number of points.
         jerk_m_s3, jerk_rad_s3: Standard deviation of the change of acceleration, at thirty frames a second.
@@ -56,86 +58,46 @@ def smoothed(times_s: F64, T: F64, n_inliers: Floats, config: TrajectoryPriorCon
         n_inliers: Map points that agree with each pose (N,).
         config: The prior.
     """
-    result = T.copy()
-    steps_s, steps_m = np.diff(times_s), np.linalg.norm(np.diff(T[:, :3, 3], axis=0), axis=1)
-    jumps = (steps_s > LONGEST_STEP_S) | (steps_s <= 0.0) | (steps_m > FASTEST_M_S * steps_s)
-    ends = np.flatnonzero(jumps) + 1
-    for piece in np.split(np.arange(len(times_s)), ends):
-        if len(piece) >= LEAST_POSES:
-            weights = np.maximum(n_inliers[piece], 1.0) / config.typical_inliers
-            result[piece] = _smoothed_piece(times_s[piece], T[piece], weights, config)
-    return result
-
-
-def lagged(times_s: F64, T: F64, n_inliers: Floats, config: TrajectoryPriorConfig) -> F64:
-    """Return poses (N, 4, 4) each as it would be settled `lag` frames later; arguments as `smoothed`.
-
-    Each is that of its frame in a window of the last frames, which is what a run can know at that moment.
-    """
-    result = T.copy()
-    for i in range(len(T)):
-        window = slice(max(0, i - WINDOW), i + config.lag + 1)
-        result[i] = smoothed(times_s[window], T[window], n_inliers[window], config)[i - window.start]
-    return result
-
-
-def _smoothed_piece(times_s: F64, T: F64, weights: F64, config: TrajectoryPriorConfig) -> F64:
-    from scipy.linalg import solveh_banded
-
-    n, X = len(T), T.copy()
-    own = weights[:, None] * np.repeat((config.position_m, config.rotation_rad), 3) ** -2.0
-    jerk = _third_differences(times_s)  # (n − 3, 3): of the velocities between frames
-    scale = np.sqrt(STEP_S / (0.5 * (times_s[3:] - times_s[:-3]) * (2.0 / 3.0)))
-    prior = np.repeat((config.jerk_m_s3, config.jerk_rad_s3), 3)[None] * scale[:, None]
-    for _ in range(ITERATIONS):
-        off = twists.log(se3.inverse(T) @ X)
-        steps = se3.inverse(X[:-1]) @ X[1:]
-        speed = twists.log(steps) / np.diff(times_s)[:, None]
-        # A velocity changes by (δ of the later pose − that of the earlier one, seen from the later) over the time.
-        behind = twists.adjoint(se3.inverse(steps)) / np.diff(times_s)[:, None, None]
-        ahead = 1.0 / np.diff(times_s)
-        residual = np.einsum("kj,kja->ka", jerk, np.stack([speed[:-2], speed[1:-1], speed[2:]], axis=1)) / prior
-        J = np.zeros((n - 3, 4, 6, 6))
-        identity = np.eye(6)
-        for j in range(3):
-            J[:, j] -= jerk[:, j, None, None] * behind[j : n - 3 + j]
-            J[:, j + 1] += (jerk[:, j] * ahead[j : n - 3 + j])[:, None, None] * identity
-        J /= prior[:, None, :, None]
-        banded, slope = _normal_equations(J, residual, own, off)
-        step = solveh_banded(banded, -slope.ravel(), lower=True, overwrite_ab=True, check_finite=False)
-        X = X @ twists.exp(step.reshape(n, 6))
+    own, X = np.ascontiguousarray(T, dtype=np.float64), np.array(T, dtype=np.float64, order="C")
+    move_pieces(np.ascontiguousarray(times_s), own, prior_of(n_inliers, config), ITERATIONS, X)
     return X
 
 
-def _third_differences(times_s: F64) -> F64:
-    """Return the weights (N − 3, 3) that make of three velocities between four frames their change of acceleration."""
-    middle_s = 0.5 * (times_s[1:] + times_s[:-1])
-    first, second = middle_s[1:-1] - middle_s[:-2], middle_s[2:] - middle_s[1:-1]
-    whole = 0.5 * (middle_s[2:] - middle_s[:-2])
-    return np.stack((1.0 / first, -1.0 / first - 1.0 / second, 1.0 / second), axis=1) / whole[:, None]
+class TrajectoryFilter:
+    """The poses of the newest frames under the prior, frame after frame: what can be known at each moment."""
+
+    def __init__(self, config: TrajectoryPriorConfig) -> None:
+        """Start before the first frame."""
+        self.config = config
+        self._T_own_cam: F64 = np.zeros((0, 4, 4))
+
+    @property
+    def reach(self) -> int:
+        """Number of frames that are estimated together."""
+        return WINDOW + self.config.lag + 1
+
+    def add(self, times_s: F64, T: F64, n_inliers: Floats) -> F64:
+        """Take a new frame, and return the poses of the newest frames (N, 4, 4), its own the last one.
+
+        Args:
+            times_s: Times of the newest frames (N,) [s], increasing: those of the call before and the new one, without
+                the oldest when there are more than `reach`.
+            T: Their poses, T_world_cam (N, 4, 4), as known now: a map that was corrected has moved them.
+            n_inliers: Map points that agree with each (N,).
+        """
+        T_own_cam, n_known = np.tile(np.eye(4), (len(T), 1, 1)), min(len(self._T_own_cam), len(T) - 1)
+        T_own_cam[len(T) - 1 - n_known : -1] = self._T_own_cam[len(self._T_own_cam) - n_known :]
+        self._T_own_cam = T_own_cam
+        X: F64 = follow(times_s, T, prior_of(n_inliers, self.config), ROUNDS_AT_ONCE, T_own_cam)
+        return X
 
 
-def _normal_equations(J: F64, residual: F64, own: F64, off: F64) -> tuple[F64, F64]:
-    """Return the normal equations, the lower band (24, 6N) and the slope (N, 6).
+def prior_of(n_inliers: Floats, config: TrajectoryPriorConfig) -> Prior:
+    """Return a prior as the kernels take it, for frames with which some map points (N,) agree."""
+    weights = np.maximum(n_inliers, 1.0) / config.typical_inliers
+    own: F64 = weights[:, None] * _six(config.position_m**-2.0, config.rotation_rad**-2.0)
+    return Prior(own, _six(config.jerk_m_s3, config.jerk_rad_s3), STEP_S, LONGEST_STEP_S, FASTEST_M_S)
 
-    Args:
-        J: Derivatives (N − 3, 4, 6, 6) of the prior's residuals by four poses.
-        residual: Those (N − 3, 6).
-        own: Inverse variances of the frames' own poses (N, 6).
-        off: How far they are now from them (N, 6).
-    """
-    n = len(own)
-    slope = own * off
-    banded = np.zeros((BAND, 6 * n))
-    banded[0] = own.ravel()
-    for a in range(4):
-        slope[a : n - 3 + a] += np.einsum("kra,kr->ka", J[:, a], residual)
-        for b in range(a + 1):
-            block = np.einsum("kri,krj->kij", J[:, a], J[:, b])  # rows of pose a, columns of pose b
-            columns = 6 * (np.arange(n - 3) + b)
-            for i in range(6):
-                for j in range(6):
-                    below = 6 * (a - b) + i - j
-                    if below >= 0:
-                        banded[below, columns + j] += block[:, i, j]
-    return banded, slope
+
+def _six(of_translation: float, of_rotation: float) -> F64:
+    return np.array((of_translation,) * 3 + (of_rotation,) * 3)

@@ -159,7 +159,8 @@ class Slam:
             following: Those after it that are there already, in order: under the live schedule workers begin them.
 
         Returns:
-            The pose as known now, what moves, and how tracking stands.
+            The pose as known now (under the trajectory prior, where the method has one: what all images so far say of
+            it), what moves, and how tracking stands.
 
         Raises:
             FrameError: Colours or depth are of another size or type than they must be, or the time does not increase;

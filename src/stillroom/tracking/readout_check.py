@@ -152,5 +152,5 @@ def _velocity(frames: deque[Rows]) -> F64 | None:
     if max(steps_s) > LONGEST_GAP_S or before.n_jumps != after.n_jumps:
         return None
     moved = se3.inverse(after.T_world_cam) @ before.T_world_cam
-    velocity: F64 = twists.log(moved[None])[0] / (after.time_s - before.time_s)
+    velocity: F64 = twists.of_motion(moved) / (after.time_s - before.time_s)
     return velocity

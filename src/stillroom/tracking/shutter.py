@@ -17,7 +17,7 @@ from stillroom.optimize import observations
 from stillroom.optimize.depth_terms import MODELS, RIGHT, DepthTerms, RightCoordinate, Terms, depth_terms
 from stillroom.optimize.observations import intrinsics_of
 from stillroom.optimize.pose import PoseOptimizerConfig
-from stillroom.optimize.rolling_pose import RollingPoseOptimizer, SeenInRows, at_mid_frame, linearize_rows
+from stillroom.optimize.rolling_pose import RollingPoseOptimizer, SeenInRows, keypoints_at_mid_frame, linearize_rows
 from stillroom.tracking.readout_check import ReadoutCheck, Rows, RowsFound
 from stillroom.tracking.undecided import Undecided, as_taken
 
@@ -252,11 +252,12 @@ class RollingShutter:
         if velocity is None or self._is_global or not velocity.any():
             return frame
         kp, camera = frame.keypoints, frame.camera
-        known = kp.depth_m[kp.depth_m > 0]
-        typical_m = float(np.median(known)) if len(known) else TYPICAL_DEPTH[frame.image.sensor.is_metric]
-        after_s = camera.rows_after_s(kp.raw_px[:, 1])
-        px = at_mid_frame(kp.px, kp.depth_m, typical_m, after_s, velocity, intrinsics_of(camera)).astype(np.float32)
-        moved = replace(kp, px=px, right_px=camera.right_coordinate(px[:, 0], kp.depth_m))
+        typical_m = TYPICAL_DEPTH[frame.image.sensor.is_metric]
+        timing, intrinsics = (float(camera.height), camera.readout_s), intrinsics_of(camera)
+        px, right_px = keypoints_at_mid_frame(
+            kp.px, kp.depth_m, kp.raw_px[:, 1], typical_m, timing, velocity, intrinsics
+        )
+        moved = replace(kp, px=px, right_px=right_px)
         so_far = velocity if frame.velocity is None else frame.velocity + velocity
         return replace(frame, keypoints=moved, velocity=so_far)
 
@@ -334,15 +335,15 @@ def turn_rad_s(guess: F64, before: Before | None) -> float:
     """Return how fast the camera turns from the frame before to a guess (4, 4) [rad/s]; infinite where unknown."""
     if before is None or not before.ago_s > 0.0:
         return float("inf")
-    return float(se3.angle_rad(guess @ before.T_world_cam)) / before.ago_s
+    return float(np.linalg.norm(twists.of_motion(guess @ before.T_world_cam)[3:])) / before.ago_s
 
 
 def expected_velocity(guess: F64, before: Before | None) -> F64:
     """Return the velocity (6,) [m/s, rad/s] from the frame before to a guess (4, 4); 0 where there is none."""
-    if before is None:
+    if before is None or not before.ago_s > 0.0:
         return np.zeros(6)
-    velocity: F64 = expected_velocities(guess[None], before.T_world_cam[None], np.array([before.ago_s]))[0]
-    return velocity
+    velocity: F64 = twists.of_motion(guess @ before.T_world_cam) / before.ago_s
+    return velocity if np.linalg.norm(velocity[3:]) <= FASTEST_TURN_RAD_S else np.zeros(6)
 
 
 def expected_velocities(T_cam_world: F64, T_world_before: F64, ago_s: F64) -> F64:

@@ -39,6 +39,7 @@ from stillroom.geometry.pixels import WIDE_PX
 from stillroom.optimize.bundle_kernels import Blocks, Order
 from stillroom.optimize.depth_offset import REACH_PX, disparity_planes
 from stillroom.optimize.reduced_system import SparseSystem
+from stillroom.optimize.trajectory_prior import TrajectoryPriorConfig
 from stillroom.protocols import MatchSieve, Parts
 from stillroom.semantics.depth_clusters import DepthClustersConfig
 from stillroom.semantics.masks.mask_segments import MaskSegments
@@ -152,14 +153,19 @@ def track() -> System:
 
 
 def roll() -> None:
-    """Track the scene as if its rows had been read one after the other, and depth before them, and look again."""
-    rolling = SlamConfig(tracking=TrackerConfig(shutter=ROLLING), last_look=LastLookConfig(enabled=True))
+    """Track the scene as if its rows had been read one after the other, and depth before them, under the prior."""
+    rolling = SlamConfig(
+        tracking=TrackerConfig(shutter=ROLLING),
+        last_look=LastLookConfig(enabled=True),
+        trajectory=TrajectoryPriorConfig(enabled=True),
+    )
     camera = replace(CAMERA, readout_s=READOUT_S, depth_offset_s=-READOUT_S)
     system = build(rolling, camera)
     for image in islice(images(), N_ROLLED):
         system.process(replace(image, depth_after_s=camera.depth_offset_s))
         disparity_planes(np.full((1, 2), 200.0), image.depth_m, camera.lens, camera.bf, REACH_PX)
     system.close()
+    system.trajectory()
 
 
 def begin_without_depth() -> None:

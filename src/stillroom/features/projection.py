@@ -120,7 +120,7 @@ def project_points(
         camera.undistorted_bounds_px,
         float(np.log(scale_factors[1] / scale_factors[0])) if len(scale_factors) > 1 else 1.0,
         len(scale_factors),
-        reach,
+        float(reach),
     )
     _project(viewer, points, ids, min_view_cos, seen)
     return Projection(*seen)

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from stillroom.data.frame import ScaleLevels
+from stillroom.data.sensor import Sensor
 from stillroom.features.projection import PointGeometry, Projection, project_points
 from stillroom.geometry import se3
 from stillroom.geometry.camera import Camera
@@ -66,6 +67,36 @@ def test_a_point_is_expected_on_the_level_where_it_was_found() -> None:
         place, direction = np.array([[0.0, 0.0, 2.0]]), np.array([[0.0, 0.0, 1.0]])
         at = PointGeometry(place, direction, max_distance_m / FACTORS[-1], max_distance_m)
         assert project(at, np.eye(4)).octave[0] == octave
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_another_camera_expects_a_point_where_as_many_pixels_see_it(seed: int) -> None:
+    """Of a map made by a camera of 500 pixels; the levels by the size of the keypoint's patch, in metres and pixels."""
+    rng, map_focal_px, n = np.random.default_rng(seed), 500.0, 400
+    small = ScaleLevels(focal_px=map_focal_px)
+    for width, focal_px in ((640, 500.0), (640, 900.0), (1280, 1000.0), (480, 200.0)):
+        camera = Camera(width, width * 3 // 4, focal_px, focal_px, width / 2, width * 3 / 8)
+        own = ScaleLevels.of(camera, Sensor.RGBD, 1.2, 8)
+        octave, seen_from_m, z = rng.integers(0, 8, n), rng.uniform(1.0, 4.0, n), rng.uniform(0.5, 8.0, n)
+        patch_m = FACTORS[octave] * 31.0 * seen_from_m / map_focal_px
+        at = np.stack((np.zeros(n), np.zeros(n), z), axis=1)
+        max_distance_m = seen_from_m * FACTORS[octave]
+        points = PointGeometry(at, np.tile([0.0, 0.0, 1.0], (n, 1)), max_distance_m / FACTORS[-1], max_distance_m)
+        found = project_points(np.eye(4), camera, own.factors, points, reach=own.reach(small))
+        in_finest_px = patch_m * focal_px / z / own.finest_px
+        level = np.log(in_finest_px / 31.0) / np.log(1.2)
+        slack = np.log([1.2, 0.8]) / np.log(1.2)
+        np.testing.assert_array_equal(found.visible, (level > -slack[0]) & (level < 7 - slack[1]))
+        assert 50 < found.visible.sum() < n
+        expected = np.clip(np.ceil(level), 0, 7)[found.visible]
+        np.testing.assert_array_equal(found.octave[found.visible], expected)
+
+
+def test_pyramids_of_one_camera_have_the_same_reach_to_the_bit() -> None:
+    for sensor in Sensor:
+        own = ScaleLevels.of(CAMERA, sensor, 1.2, 8)
+        assert own.reach(ScaleLevels.of(CAMERA, sensor, 1.2, 8)) == 1.0
+        assert own.reach(ScaleLevels()) == ScaleLevels().reach(own) == 1.0, "where it is not known of one"
 
 
 def test_the_least_viewing_cosine_is_an_option() -> None:

@@ -22,7 +22,7 @@ from stillroom.errors import ConfigError, FrameError, StillroomError
 from stillroom.evaluation.report_file import from_json
 from stillroom.evaluation.smoothness import smoothness
 from stillroom.evaluation.timing import FRAME
-from stillroom.evaluation.trajectory_errors import ate
+from stillroom.evaluation.trajectory_errors import Alignment, ate
 from stillroom.pipeline import RunOptions, RunOutcome, Source, evaluate_folder, run
 from stillroom.pipeline.options import detector_ranges
 from stillroom.presets.registry import configure, method
@@ -119,6 +119,15 @@ def test_a_method_with_a_trajectory_prior_writes_what_it_knows_five_frames_later
     assert again.online is not None
     assert again.lagged is not None
     assert again.lagged.ate_m == pytest.approx(figures["lagged"]["ate_m"], rel=0.02)
+    for name in ("trajectory.tum", "trajectory_lag5.tum", "trajectory_online.tum"):
+        read_tum(folder / name).scaled(0.7).write_tum(folder / name)
+    by_scale = evaluate_folder(folder, write=False, alignment=Alignment.SIM3).evaluation
+    assert by_scale.online is not None
+    assert by_scale.lagged is not None
+    for earlier, file in ((by_scale.online, "trajectory_online.tum"), (by_scale.lagged, "trajectory_lag5.tum")):
+        expected = ate(read_tum(folder / file), dataset.groundtruth)
+        assert earlier.ate_m == pytest.approx(expected.sim3_m.rmse)
+        assert earlier.ate_m < 0.2 * expected.se3_m.rmse
 
 
 def test_a_last_look_is_better_than_the_first_and_is_counted(tmp_path: Path) -> None:

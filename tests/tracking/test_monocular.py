@@ -11,7 +11,7 @@ from small_world import CAMERA, SCALES, SmallMap, SmallWorld, no_semantics, pose
 
 from stillroom.data.image import Image, MonoImage
 from stillroom.data.map import Map, submaps
-from stillroom.data.result import TrackingState
+from stillroom.data.result import FrameResult, TrackingState
 from stillroom.data.sensor import Sensor
 from stillroom.data.trajectory import Trajectory
 from stillroom.datasets.open import open_dataset
@@ -20,6 +20,7 @@ from stillroom.geometry.align import align
 from stillroom.geometry.camera import Camera
 from stillroom.presets.registry import configure
 from stillroom.system import System, build
+from stillroom.tracking.start import Lost
 
 
 def monocular(camera: Camera, seed: int = 0) -> System:
@@ -138,7 +139,44 @@ def test_a_map_that_is_lost_early_is_dropped_and_another_begun(
     assert len(system.apart()) == 1
 
 
-def _process_at(system: System, image: Image, index: int) -> object:
+def lost_with_more_keyframes(camera: Camera, images: list[Image], *settings: str) -> tuple[System, int]:
+    """A map with more keyframes than are dropped at once, after ten images of another place; and how many were seen."""
+    system = build(configure("orb-slam2", overrides=settings), camera, sensor=Sensor.MONOCULAR)
+    n = 0
+    while len(system.map.alive_keyframes()) <= system.tracker.start.config.start_again:
+        _process_at(system, images[n], n)
+        n += 1
+    for place in range(4):  # black images tell nothing of the place
+        assert _process_at(system, images[n].black(), n + place).state is TrackingState.LOST
+    assert system.tracker.start.beginnings.n_dropped == 0
+    for place, image in enumerate(turned_views(10), n + 4):
+        _process_at(system, image, place)
+    return system, n + 14
+
+
+def test_a_young_map_that_is_not_recognised_is_dropped_with_more_keyframes(
+    xyz_images: tuple[Camera, list[Image], Trajectory],
+) -> None:
+    camera, images, _ = xyz_images
+    system, n = lost_with_more_keyframes(camera, images)
+    assert system.map.is_empty
+    assert system.tracker.start.beginnings.n_dropped == 1
+    again = [_process_at(system, image, n + k) for k, image in enumerate(images[:20])]
+    assert again[-1].state is TrackingState.OK
+    assert len(system.trajectory()) == sum(result.state is TrackingState.OK for result in again)
+
+
+@pytest.mark.parametrize("changed", ["monocular.young_s=0.1", "monocular.young_patience=11"])
+def test_an_older_map_waits_to_be_recognised(changed: str, xyz_images: tuple[Camera, list[Image], Trajectory]) -> None:
+    camera, images, _ = xyz_images
+    system, n = lost_with_more_keyframes(camera, images, changed)
+    assert system.tracker.start.beginnings.n_dropped == 0
+    found = _process_at(system, images[n - 15], n)
+    assert found.state is TrackingState.OK
+    assert len(system.apart()) == 0
+
+
+def _process_at(system: System, image: Image, index: int) -> FrameResult:
     return system.process(image.at(index, index / 30))
 
 
@@ -169,7 +207,7 @@ def test_a_small_map_of_an_earlier_run_is_not_dropped() -> None:
     assert start.beginnings.n_dropped == 0
     own = [small.add(pose(0.3), depth_share=0.0), small.add(pose(0.4), depth_share=0.0)]
     world.keyframes.parent[3], world.keyframes.submap[3:] = -1, 1
-    assert start.starts_again(1, world), "one that this run began"
+    assert start.starts_again(Lost(1, 1.0), world), "one that this run began"
     assert list(world.alive_keyframes()) == [0, 1, 2], own
 
 

@@ -7,6 +7,7 @@ import pytest
 from small_world import CAMERA, SmallMap, SmallWorld, pose
 
 from stillroom.data.frame import Frame
+from stillroom.data.map import submaps
 from stillroom.data.matches import Matches
 from stillroom.data.motion import Motion
 from stillroom.data.result import Tracked, TrackingState
@@ -160,8 +161,8 @@ def test_a_keyframe_that_an_earlier_run_made_of_the_same_image_stays_as_it_is() 
     np.testing.assert_array_equal(world.keyframes.T_world_cam, T_world_cam)
 
 
-def rows_at(time_s: float, T_world_cam: np.ndarray, n_jumps: int = 0) -> Rows:
-    return Rows(time_s, T_world_cam, n_jumps, np.eye(12), np.zeros(12), np.zeros(6))
+def rows_at(time_s: float, T_world_cam: np.ndarray, n_jumps: int = 0, submap: int = 0) -> Rows:
+    return Rows(time_s, T_world_cam, n_jumps, submap, np.eye(12), np.zeros(12), np.zeros(6))
 
 
 def test_frames_that_do_not_follow_each_other_say_nothing() -> None:
@@ -173,6 +174,19 @@ def test_frames_that_do_not_follow_each_other_say_nothing() -> None:
     for k in range(6):
         check.add(rows_at(10.0 + k / 30.0, where(k / 30.0), n_jumps=k))
     assert check.found is None
+
+
+def test_a_pose_in_a_map_that_was_dropped_is_not_compared_with_those_of_the_next() -> None:
+    """Another origin, and with a single camera another unit: between the two maps the camera has no velocity."""
+    check = ReadoutCheck(FILE_S)
+    for k in range(2):
+        check.add(rows_at(k / 30.0, where(k / 30.0)))
+    for k in range(2, 4):
+        check.add(rows_at(k / 30.0, submaps.origin(1) @ where(k / 30.0), submap=1))
+    assert check.found is None
+    check.add(rows_at(4 / 30.0, submaps.origin(1) @ where(4 / 30.0), submap=1))
+    assert check.found is not None
+    assert check.found.n_frames == 1
 
 
 def test_a_frame_that_is_found_twice_counts_once() -> None:

@@ -1,5 +1,6 @@
 """A frame: the keypoints of one image."""
 
+import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -47,11 +48,26 @@ class ScaleLevels:
         count: Number of levels.
         finest_px: Size of a pixel of the finest level in the image [px]; see `finest_px`. Windows, tolerances and the
             noise of keypoints are in pixels of levels, so all of them grow with it.
+        focal_px: Focal length in pixels of the finest level: how large what is one away is seen there; 0 where unknown.
     """
 
     factor: float = 1.2
     count: int = 8
     finest_px: float = 1.0
+    focal_px: float = 0.0
+
+    @classmethod
+    def of(cls, camera: Camera, sensor: Sensor, factor: float, count: int) -> "ScaleLevels":
+        """Return the pyramid over images of a camera."""
+        side_px = finest_px(camera, sensor)
+        return cls(factor, count, side_px, math.sqrt(camera.fx * camera.fy) / side_px)
+
+    def reach(self, other: "ScaleLevels") -> float:
+        """Return how many times as far as in another pyramid a thing is when it has the same size on the same level.
+
+        1 where the focal length of either is unknown.
+        """
+        return self.focal_px / other.focal_px if self.focal_px > 0.0 and other.focal_px > 0.0 else 1.0
 
     @cached_property
     def factors(self) -> F64:

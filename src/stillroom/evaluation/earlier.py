@@ -14,7 +14,7 @@ class Earlier:
     """What poses were worth before later images improved them.
 
     Attributes:
-        ate_m: ATE RMSE, SE(3), ground truth as given [m].
+        ate_m: ATE RMSE, by the alignment that the estimate asks for, ground truth as given [m].
         jitter_m: RMS of the second difference of the position error [m], against the ground truth of the camera where
             there is one; None where too few poses follow each other.
         n_compared: Poses compared.
@@ -44,4 +44,4 @@ def earlier(
         jitter_m = smoothness(estimate, groundtruth_camera or groundtruth).jitter_m.rmse
     except TrajectoryError:  # too few poses follow each other
         jitter_m = None
-    return Earlier(absolute.se3_m.rmse, jitter_m, absolute.n_compared)
+    return Earlier(absolute.judged_m.rmse, jitter_m, absolute.n_compared)

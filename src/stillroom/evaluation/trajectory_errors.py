@@ -303,6 +303,11 @@ class AbsoluteError:
         """Number of poses compared."""
         return len(self.errors_m)
 
+    @property
+    def judged_m(self) -> Statistics:
+        """The errors after the alignment by which the estimate is judged [m]."""
+        return self.se3_m if self.alignment is Alignment.SE3 else self.sim3_m
+
 
 def ate(estimate: Trajectory, groundtruth: Trajectory, max_gap_s: float = TUM_MAX_GAP_S) -> AbsoluteError:
     """Measure the absolute trajectory error of all poses that find a partner in time.

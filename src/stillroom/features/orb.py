@@ -8,7 +8,7 @@ import numpy as np
 
 from stillroom.bounds import bounded
 from stillroom.compiled import njit
-from stillroom.data.frame import Frame, Keypoints, ScaleLevels, finest_px
+from stillroom.data.frame import Frame, Keypoints, ScaleLevels
 from stillroom.data.image import Image
 from stillroom.data.map import Map
 from stillroom.data.sensor import Sensor
@@ -211,7 +211,7 @@ class OrbConfig:
 
     def scales(self, camera: Camera, sensor: Sensor = Sensor.RGBD) -> ScaleLevels:
         """Return the pyramid over images of a camera."""
-        return ScaleLevels(self.scale_factor, self.n_levels, finest_px(camera, sensor))
+        return ScaleLevels.of(camera, sensor, self.scale_factor, self.n_levels)
 
     def registered_depth(self, camera: Camera) -> RegisteredDepth:
         """Return what reads the depth of keypoints in a camera's depth images."""

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from stillroom.compiled import njit
+from stillroom.data.frame import ScaleLevels
 from stillroom.data.map import Map
 from stillroom.features.matching import FAR_BITS, Queries, Targets, search_windows
 from stillroom.geometry.arrays import F32, F64, I32, Bool
@@ -52,7 +53,14 @@ class PointGeometry(NamedTuple):
 
 
 class _Viewer(NamedTuple):
-    """A camera as the kernel takes it; `log_factor` is the logarithm of the ratio of neighbouring levels."""
+    """A camera as the kernel takes it.
+
+    Attributes:
+        T_cam_world, lens, bf, bounds_px: Its pose, projection, baseline and the extent of its images.
+        log_factor: Logarithm of the ratio of neighbouring levels.
+        n_levels: Their number.
+        reach: How many times as far as from the map's camera points have the same size on the same level.
+    """
 
     T_cam_world: F64
     lens: Lens
@@ -60,6 +68,7 @@ class _Viewer(NamedTuple):
     bounds_px: tuple[float, float, float, float]
     log_factor: float
     n_levels: int
+    reach: float
 
 
 class _Projected(NamedTuple):
@@ -80,8 +89,20 @@ def project_points(
     points: PointGeometry,
     min_view_cos: float = 0.5,
     ids: I32 | None = None,
+    reach: float = 1.0,
 ) -> Projection:
-    """Project points with their viewing geometry into a camera at `T_cam_world` (4, 4): all, or those at `ids` (P,)."""
+    """Project points with their viewing geometry into a camera.
+
+    Args:
+        T_cam_world: Its pose (4, 4).
+        camera: Its calibration.
+        scale_factors: Size of the pixels of its levels (L,).
+        points: The points.
+        min_view_cos: Least cosine between present and mean viewing direction.
+        ids: Which of them (P,); all by default.
+        reach: How many times as far as from the camera that the viewing geometry is of, points have the same size on
+            the same level (`ScaleLevels.reach`).
+    """
     ids = np.arange(len(points.position_m), dtype=np.int32) if ids is None else ids
     n = len(ids)
     seen = _Projected(
@@ -99,6 +120,7 @@ def project_points(
         camera.undistorted_bounds_px,
         float(np.log(scale_factors[1] / scale_factors[0])) if len(scale_factors) > 1 else 1.0,
         len(scale_factors),
+        float(reach),
     )
     _project(viewer, points, ids, min_view_cos, seen)
     return Projection(*seen)
@@ -106,7 +128,7 @@ def project_points(
 
 @njit(nogil=True, cache=True)
 def _project(viewer: _Viewer, points: PointGeometry, ids: I32, min_view_cos: float, seen: _Projected) -> None:
-    T, lens, bf, bounds_px, log_factor, n_levels = viewer
+    T, lens, bf, bounds_px, log_factor, n_levels, reach = viewer
     position_m, normals, min_distance_m, max_distance_m = points
     px, right_px, octave, view_cos, depth_m, visible = seen
     ox = -(T[0, 0] * T[0, 3] + T[1, 0] * T[1, 3] + T[2, 0] * T[2, 3])
@@ -127,13 +149,15 @@ def _project(viewer: _Viewer, points: PointGeometry, ids: I32, min_view_cos: flo
             continue
         dx, dy, dz = X - ox, Y - oy, Z - oz
         distance = np.sqrt(dx * dx + dy * dy + dz * dz)
-        if distance < 0.8 * min_distance_m[p] or distance > 1.2 * max_distance_m[p]:
+        # As far as from the map's camera, where it looks the same: ORB-SLAM2 has one camera.
+        equal = distance / reach
+        if equal < 0.8 * min_distance_m[p] or equal > 1.2 * max_distance_m[p]:
             continue
         cosine = (dx * normals[p, 0] + dy * normals[p, 1] + dz * normals[p, 2]) / distance
         view_cos[i] = cosine
         if cosine < min_view_cos:
             continue
-        level = int(np.ceil(np.log(max_distance_m[p] / distance) / log_factor))
+        level = int(np.ceil(np.log(max_distance_m[p] / equal) / log_factor))
         octave[i] = min(max(level, 0), n_levels - 1)
         visible[i] = True
 
@@ -176,11 +200,11 @@ class ProjectionMatches:
     right_px: F32
 
 
-def projected(ids: I32, T_cam_world: F64, camera: Camera, world: Map) -> Projection:
-    """Project points (P,) of a map into a camera at `T_cam_world` (4, 4)."""
-    points = world.points
+def projected(ids: I32, T_cam_world: F64, camera: Camera, world: Map, scales: ScaleLevels | None = None) -> Projection:
+    """Project points (P,) of a map into a camera at `T_cam_world` (4, 4); `scales` as for `search_around`."""
+    points, scales = world.points, scales or world.scales
     geometry = PointGeometry(points.position_m, points.normal, points.min_distance_m, points.max_distance_m)
-    return project_points(T_cam_world, camera, world.scales.factors, geometry, ids=ids)
+    return project_points(T_cam_world, camera, scales.factors, geometry, ids=ids, reach=scales.reach(world.scales))
 
 
 def keyframe_targets(keyframe: int, world: Map) -> Targets:
@@ -192,7 +216,13 @@ def keyframe_targets(keyframe: int, world: Map) -> Targets:
 
 
 def search_around(
-    ids: I32, T_cam_world: F64, camera: Camera, world: Map, targets: Targets, window: Window
+    ids: I32,
+    T_cam_world: F64,
+    camera: Camera,
+    world: Map,
+    targets: Targets,
+    window: Window,
+    scales: ScaleLevels | None = None,
 ) -> ProjectionMatches:
     """Search points (P,) of a map around their projections at a pose (4, 4).
 
@@ -203,15 +233,17 @@ def search_around(
         world: The map.
         targets: Keypoints to search among.
         window: Search radius and thresholds.
+        scales: The pyramid that the targets were found on; by default the map's, as for targets of its keyframes.
     """
-    p = projected(ids, T_cam_world, camera, world)
+    scales = scales or world.scales
+    p = projected(ids, T_cam_world, camera, world, scales)
     head_on_px = window.radius_px if window.head_on_px is None else window.head_on_px
     visible, px, radius_px, octave, right_px = _windows(
         ids,
         _Projected(p.px, p.right_px, p.octave, p.view_cos, p.depth_m, p.visible),
         float(head_on_px),
         float(window.radius_px),
-        world.scales.factors,
+        scales.factors,
     )
     queries = Queries(
         px, radius_px, octave - 1, octave + window.levels_above, right_px, world.points.descriptors, visible

@@ -146,11 +146,14 @@ def _read(path: Path, alignment: Alignment | None) -> Trajectory:
         TrajectoryError: It cannot be read.
     """
     trajectory = read_tum(path)
-    if alignment is None:
-        return trajectory
     if alignment is Alignment.SE3 and not trajectory.is_metric:
         log.warning("%s is up to scale; its errors after SE(3) alignment say nothing but how far its unit is off", path)
-    return replace(trajectory, is_metric=alignment is Alignment.SE3)
+    return _aligned_by(alignment, trajectory)
+
+
+def _aligned_by(alignment: Alignment | None, trajectory: Trajectory) -> Trajectory:
+    """Return a trajectory as one that is aligned as asked for, or, where nothing is, by what suits it."""
+    return trajectory if alignment is None else replace(trajectory, is_metric=alignment is Alignment.SE3)
 
 
 def _measured(
@@ -173,7 +176,7 @@ def _measured(
         groundtruth_camera=truth.at_camera,
         n_given=results.count_frames(folder),
         matching=matching,
-        online=None if online is None else read_tum(online),
-        lagged=None if lagged is None else read_tum(lagged),
+        online=None if online is None else _aligned_by(alignment, read_tum(online)),
+        lagged=None if lagged is None else _aligned_by(alignment, read_tum(lagged)),
     )
     return folder, trajectory, truth, evaluation

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from stillroom.cameras.registry import is_camera, open_camera
+from stillroom.data.map import submaps
 from stillroom.data.sensor import Sensor
 from stillroom.datasets.open import open_dataset
 from stillroom.datasets.pairing import Pairing
@@ -112,8 +113,15 @@ class RunOutcome:
 
     @property
     def n_apart(self) -> int:
-        """Images that were tracked in sub-maps that were never merged with the main one."""
+        """Images that were tracked in sub-maps that were never merged with the main one, or were dropped."""
         return len(self.system.apart())
+
+    @property
+    def n_dropped(self) -> int:
+        """Images that were tracked in maps that were dropped."""
+        world = self.system.map
+        kept = submaps.unjoined(world)
+        return sum(world.keyframes.submap[result.reference_keyframe] not in kept for result in self.system.apart())
 
 
 @dataclass(frozen=True)

@@ -27,8 +27,10 @@ def before_map(figures: Mapping[str, Any]) -> list[str]:
         images = "1 image has" if n_before == 1 else f"{n_before} images have"
         said.append(f"{images} no pose: a map could not be begun yet{why}")
     if n_dropped:
-        maps = "1 map was" if n_dropped == 1 else f"{n_dropped} maps were"
-        said.append(f"{maps} dropped: tracking was lost soon after it began")
+        maps, them = ("1 map was", "it") if n_dropped == 1 else (f"{n_dropped} maps were", "them")
+        n_in_them = figures.get("n_in_dropped_maps", 0)
+        images = f"; {n_in_them} images were tracked in {them}, and have no pose" if n_in_them else ""
+        said.append(f"{maps} dropped: tracking was lost soon after it began{images}")
     return said
 
 

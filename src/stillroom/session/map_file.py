@@ -154,14 +154,18 @@ def _loaded(path: Path, config: SlamConfig) -> StoredMap:
 
 
 def _require_sensor(file: MapFile, made_with: Sensor, sensor: Sensor, sequence: str) -> None:
-    """Refuse a map that a sensor cannot use so: lengths differ, or one map would hold keyframes of two sensors."""
-    if sensor is made_with or (made_with.is_metric and sensor.is_metric and file.use is MapUse.LOCALIZE):
+    """Refuse a map that a sensor cannot use so: lengths differ, or one map would hold keyframes of two sensors.
+
+    In a metric map any camera may be localized: the points give the lengths that a single one does not measure.
+    """
+    if sensor is made_with or (made_with.is_metric and file.use is MapUse.LOCALIZE):
         return
     which = f"{file.path}: is a map of {made_with.words} images, and {sequence} has {sensor.words} ones"
+    remedy = "--localize works with any sensor" if made_with.is_metric else "make a new map"
     if made_with.is_metric and sensor.is_metric:
-        raise MapError(f"{which}; one map holds one sensor's keyframes; --localize works with both")
+        raise MapError(f"{which}; one map holds one sensor's keyframes; {remedy}")
     raise MapError(
-        f"{which}: lengths of a single camera are known up to a factor, those of the other in metres; make a new map"
+        f"{which}: lengths of a single camera are known up to a factor, those of the other in metres; {remedy}"
     )
 
 

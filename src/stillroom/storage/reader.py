@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from stillroom.data.frame import ScaleLevels, finest_px
+from stillroom.data.frame import ScaleLevels
 from stillroom.data.image import Image
 from stillroom.data.map import Map
 from stillroom.data.sensor import Sensor
@@ -87,7 +87,7 @@ def _read(database: sqlite3.Connection) -> StoredMap:
     if not (1 <= head["n_levels"] <= MOST_LEVELS and 1.0 < head["scale_factor"] < np.inf):
         raise MapError(f"{head['n_levels']} pyramid levels of {head['scale_factor']} cannot be; the map is damaged")
     sensor = _sensor(database)
-    world = Map(ScaleLevels(head["scale_factor"], head["n_levels"], finest_px(camera, sensor)), sensor)
+    world = Map(ScaleLevels.of(camera, sensor, head["scale_factor"], head["n_levels"]), sensor)
     _read_keyframes(database, world)
     _read_points(database, world, head["n_points"])
     edges = database.execute("SELECT older, newer, weight FROM covisibility ORDER BY older, newer").fetchall()

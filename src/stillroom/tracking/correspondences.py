@@ -45,12 +45,12 @@ def with_last_frame(frame: Frame, last: Tracked, T_cam_world: F64, world: Map, r
     low, high = octave - 1, octave + 1
     baseline_m = camera.baseline_m if world.sensor.is_metric else np.inf
     if travel_m > baseline_m:
-        low, high = octave, np.full_like(octave, world.scales.count - 1)
+        low, high = octave, np.full_like(octave, frame.scales.count - 1)
     elif travel_m < -baseline_m:
         low, high = np.zeros_like(octave), octave
     queries = Queries(
         px,
-        (radius_px * world.scales.factors[octave]).astype(np.float32),
+        (radius_px * frame.scales.factors[octave]).astype(np.float32),
         low,
         high,
         camera.right_coordinate(px[:, 0], points_cam[:, 2]),
@@ -110,6 +110,6 @@ def with_points(
     # ORB-SLAM2: the window is smaller for a point seen almost head-on.
     window = Window(4.0 * widen, head_on_px=2.5 * widen, levels_above=0, ratio=ratio)
     targets = targets_of(frame, free & frame.is_static)
-    found = search_around(ids, T_cam_world, frame.camera, world, targets, window)
+    found = search_around(ids, T_cam_world, frame.camera, world, targets, window, frame.scales)
     unknown_px = np.full((len(found.target), 2), np.nan, dtype=np.float32)
     return Matches(found.target, found.point_ids, unknown_px), found.visible

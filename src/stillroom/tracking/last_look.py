@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from stillroom.bounds import bounded
-from stillroom.data.frame import Frame, Keypoints
+from stillroom.data.frame import Frame, Keypoints, ScaleLevels
 from stillroom.data.image import MonoImage, RgbdImage
 from stillroom.data.map import Map
 from stillroom.data.matches import Matches
@@ -114,6 +114,9 @@ class LastLook:
         self._timed = parts.clock.timed("last look", self._looked_again)
         self._camera: Camera = parts.camera
         self._world: Map = parts.world
+        of_map = parts.world.scales
+        # Of the images, which a map of another camera may be looked at with.
+        self._scales = ScaleLevels.of(parts.camera, parts.sensor, of_map.factor, of_map.count)
         self._pose, self._depth, self._prior = tracker.pose, tracker.config.depth, prior
         self._limits = tracker.config.pose.chi2_2d, tracker.config.pose.chi2_3d
         self._sights: deque[Sights | None] = deque()
@@ -251,7 +254,7 @@ class LastLook:
         nothing = np.zeros((0, 0, 3), dtype=np.uint8)
         is_metric = self._world.sensor.is_metric
         image = RgbdImage(time_s, nothing, np.zeros((0, 0), np.float32)) if is_metric else MonoImage(time_s, nothing)
-        return Frame(image, camera, self._world.scales, keypoints, np.ones(n, dtype=np.bool_))
+        return Frame(image, camera, self._scales, keypoints, np.ones(n, dtype=np.bool_))
 
 
 class NoLastLook:

@@ -28,7 +28,7 @@ from stillroom.geometry.two_views.reconstruction import Refusal, TwoViewLimits, 
 from stillroom.optimize import observations
 from stillroom.optimize.bundle import BundleAdjuster, BundleConfig, BundleProblem
 from stillroom.protocols import MatchSieve, Parts, Pending
-from stillroom.tracking.start import Beginnings
+from stillroom.tracking.start import Beginnings, Lost
 
 log = logging.getLogger(__name__)
 _FINEST = 0
@@ -49,6 +49,8 @@ class MonocularConfig:
             a camera that reads its rows one after the other fakes as much when it turns unevenly.
         min_points: Fewest points of a first map.
         start_again: A map that is lost with no more keyframes than this is dropped, and another begun.
+        young_s: A map that is lost within so long of its beginning …
+        young_patience: … is dropped too, once so many images that have enough keypoints are not recognised; 0: never.
         share: A keyframe is due when fewer than this share of the reference keyframe's points is tracked.
         min_gap: Frames between keyframes, at least.
         n_neighbours: Covisible keyframes to triangulate with, and to fuse with: depth comes from nowhere else.
@@ -68,6 +70,8 @@ class MonocularConfig:
     shutter_s: float = bounded(0.02, least=0)
     min_points: int = bounded(80, least=8)
     start_again: int = bounded(5, least=0)
+    young_s: float = bounded(2.0, least=0)
+    young_patience: int = bounded(10, least=0)
     share: float = bounded(0.9, least=0, most=1)
     min_gap: int = bounded(1, least=0)
     n_neighbours: int = bounded(20, least=0)
@@ -155,18 +159,33 @@ class TwoViewStart:
         """Return whether a frame has enough keypoints to begin a sub-map with."""
         return int(np.count_nonzero(frame.is_static & (frame.keypoints.octave == _FINEST))) >= self.config.min_matches
 
-    def starts_again(self, submap: int, world: Map) -> bool:
-        """Drop a sub-map in which tracking was lost, if it is too young to be trusted; return whether it was."""
+    def starts_again(self, lost: Lost, world: Map) -> bool:
+        """Drop the sub-map in which tracking was lost, if it is too young to be trusted; return whether it was."""
         keyframes = world.keyframes
-        alive = np.flatnonzero(keyframes.is_alive & (keyframes.submap == submap))
-        n_alive = len(alive)
-        if not 0 < n_alive <= self.config.start_again or alive[0] < self._first_keyframe:
+        own = np.flatnonzero(keyframes.submap == lost.submap)
+        alive = own[keyframes.is_alive[own]]
+        if len(alive) == 0 or alive[0] < self._first_keyframe:
             return False  # what an earlier run has mapped is not this one's to drop, however small it is
-        submaps.discard(submap, world)
+        lasted_s = lost.since_s - float(keyframes.timestamp_s[own[0]])
+        if len(alive) > self.config.start_again and not self._is_given_up(lasted_s, lost.n_in_vain):
+            return False
+        submaps.discard(lost.submap, world)
         self._held = None
         self._n_dropped += 1
-        log.warning("tracking was lost with %d keyframes: this map is dropped, and another is begun", n_alive)
+        log.warning(
+            "tracking was lost %.2g s after a map was begun, with %d keyframes: it is dropped, and another is begun",
+            lasted_s,
+            len(alive),
+        )
         return True
+
+    def _is_given_up(self, lasted_s: float, n_in_vain: int) -> bool:
+        """Return whether a map is young, and nothing of it was recognised for long enough.
+
+        Differs from ORB-SLAM2, which counts keyframes: here nearly every image is one until a map has its points, and
+        before that it is lost as easily.
+        """
+        return lasted_s <= self.config.young_s and 0 < self.config.young_patience <= n_in_vain
 
     def _hold(self, tracked: Tracked) -> None:
         keypoints = tracked.frame.keypoints

@@ -40,6 +40,7 @@ class Rows(NamedTuple):
         time_s: Its time.
         T_world_cam: Its pose (4, 4).
         n_jumps: How often the map has jumped.
+        submap: The sub-map that the pose is in: those of another have another origin, and maybe another unit.
         H, b: Normal equations of pose and twist (12, 12), (12,).
         moved_with: The twist (6,) by which its keypoints were moved.
     """
@@ -47,6 +48,7 @@ class Rows(NamedTuple):
     time_s: float
     T_world_cam: F64
     n_jumps: int
+    submap: int
     H: F64
     b: F64
     moved_with: F64
@@ -150,6 +152,8 @@ def _velocity(frames: deque[Rows]) -> F64 | None:
     before, middle, after = frames
     steps_s = middle.time_s - before.time_s, after.time_s - middle.time_s
     if max(steps_s) > LONGEST_GAP_S or before.n_jumps != after.n_jumps:
+        return None
+    if not before.submap == middle.submap == after.submap:
         return None
     moved = se3.inverse(after.T_world_cam) @ before.T_world_cam
     velocity: F64 = twists.of_motion(moved) / (after.time_s - before.time_s)

@@ -20,6 +20,7 @@ from stillroom.optimize import observations
 from stillroom.optimize.pose import PoseOptimizerConfig
 from stillroom.protocols import Parts, Pending
 from stillroom.tracking.correspondences import targets_of, with_keyframe
+from stillroom.tracking.start import Lost
 from stillroom.tracking.tracker import Tracker
 
 MATCHING_RATIO = 0.75
@@ -167,7 +168,7 @@ def by_words(frame: Frame, bag: Bag, keyframe: int, nodes: I32, world: Map) -> M
 def around_projections(frame: Frame, T_cam_world: F64, ids: I32, free: Bool, window: Window, world: Map) -> Matches:
     """Search points (P,) among the free keypoints (N,) around their projections at a pose (4, 4)."""
     targets = targets_of(frame, free & frame.is_static)
-    found = search_around(ids, T_cam_world, frame.camera, world, targets, window)
+    found = search_around(ids, T_cam_world, frame.camera, world, targets, window, frame.scales)
     unknown_px = np.full((len(found.target), 2), np.nan, dtype=np.float32)
     return Matches(found.target, found.point_ids, unknown_px)
 
@@ -237,7 +238,7 @@ class Relocalizer:
         """Store the parts."""
         self.config, self.tracker, self.places, self.seed = config, tracker, places, parts.seed
         self._recognizer = config.recognition.build(parts)
-        self._n_in_vain = 0
+        self._lost: Lost | None = None
 
     def recover(self, tracked: Tracked, semantics: Pending[Semantics], world: Map) -> Tracked:
         """Return the lost frame with a pose, or unchanged if it is not recognised.
@@ -246,10 +247,11 @@ class Relocalizer:
         """
         found = self.by_place(tracked, semantics, world) or self._by_last_keyframes(tracked, semantics, world)
         if found is None:
-            found = self._new_submap(tracked, semantics, world)
-        if found is None:
-            return self._started_again(tracked, semantics, world)
-        self._n_in_vain = 0
+            lost = self._lost = self._still_lost(tracked, world)
+            found = self._new_submap(tracked, lost, semantics, world)
+            found = found or self._started_again(tracked, lost, semantics, world)
+        if not found.lost:
+            self._lost = None
         return found
 
     def by_place(self, tracked: Tracked, semantics: Pending[Semantics], world: Map) -> Tracked | None:
@@ -293,22 +295,27 @@ class Relocalizer:
         located = self.tracker.locate(tracked.frame, found.T_cam_world, found.point_ids, semantics, world, recovery)
         return None if located.lost else located
 
-    def _started_again(self, tracked: Tracked, semantics: Pending[Semantics], world: Map) -> Tracked:
+    def _still_lost(self, tracked: Tracked, world: Map) -> Lost:
+        """Return for how long tracking has been lost with one more image, whose place was not recognised."""
+        # The first image that is lost still knows its reference keyframe.
+        since = int(world.keyframes.submap[tracked.reference_keyframe]), tracked.frame.timestamp_s
+        lost = self._lost or Lost(*since)
+        return replace(lost, n_in_vain=lost.n_in_vain + self.tracker.start.may_begin(tracked.frame))
+
+    def _started_again(self, tracked: Tracked, lost: Lost, semantics: Pending[Semantics], world: Map) -> Tracked:
         """Return the lost frame; where its map is dropped, as one that may begin another."""
-        submap = int(world.keyframes.submap[tracked.reference_keyframe])
-        if not self.tracker.start.starts_again(submap, world) or not world.is_empty:
+        if not self.tracker.start.starts_again(lost, world) or not world.is_empty:
             return tracked
         return self.tracker.start.start(tracked.frame, semantics, world)
 
-    def _new_submap(self, tracked: Tracked, semantics: Pending[Semantics], world: Map) -> Tracked | None:
+    def _new_submap(self, tracked: Tracked, lost: Lost, semantics: Pending[Semantics], world: Map) -> Tracked | None:
         """Return the frame as the first of a sub-map, when that is due and it has enough keypoints."""
         if self.config.patience == 0:
             return None
         frame = tracked.frame
         if not self.tracker.start.may_begin(frame):
             return None
-        self._n_in_vain += 1
-        if self._n_in_vain <= self.config.patience:
+        if lost.n_in_vain <= self.config.patience:
             return None
         started = self.tracker.start.start(frame, semantics, world)
         if started.state is not TrackingState.OK:

@@ -320,7 +320,8 @@ def _rows_of(tracked: Tracked, matches: Matches, world: Map, limits: tuple[float
     )
     linearize_rows(se3.inverse(tracked.T_world_cam), np.zeros(6), seen, np.ones(n, dtype=np.bool_), limits, H, b)
     moved_with = np.zeros(6) if frame.velocity is None else camera.readout_s * frame.velocity
-    return Rows(frame.timestamp_s, tracked.T_world_cam, len(world.jumps), H, b, moved_with)
+    submap = int(world.keyframes.submap[tracked.reference_keyframe])
+    return Rows(frame.timestamp_s, tracked.T_world_cam, len(world.jumps), submap, H, b, moved_with)
 
 
 def terms_of(frame: Frame, matches: Matches, depth: DepthTerms) -> Terms:

@@ -29,6 +29,21 @@ class Beginnings:
     n_dropped: int = 0
 
 
+@dataclass(frozen=True)
+class Lost:
+    """Where, and for how long, tracking has been lost.
+
+    Attributes:
+        submap: The sub-map in which it was lost.
+        since_s: Time of the first image that was not tracked [s].
+        n_in_vain: Images since then that have enough keypoints, and in which no place was recognised.
+    """
+
+    submap: int
+    since_s: float
+    n_in_vain: int = 0
+
+
 class Start(Protocol):
     """Begins maps and sub-maps."""
 
@@ -42,8 +57,8 @@ class Start(Protocol):
     def may_begin(self, frame: Frame) -> bool:
         """Return whether a frame has enough keypoints to begin a sub-map with."""
 
-    def starts_again(self, submap: int, world: Map) -> bool:
-        """Drop a sub-map in which tracking was lost, if it is too young to be trusted; return whether it was."""
+    def starts_again(self, lost: Lost, world: Map) -> bool:
+        """Drop the sub-map in which tracking was lost, if it is too young to be trusted; return whether it was."""
 
 
 class DepthStart:
@@ -73,6 +88,6 @@ class DepthStart:
         """Return whether enough keypoints have a depth."""
         return int((frame.is_static & (frame.keypoints.depth_m > 0)).sum()) >= self.min_keypoints
 
-    def starts_again(self, submap: int, world: Map) -> bool:
+    def starts_again(self, lost: Lost, world: Map) -> bool:
         """Return False: measured depth is trusted from the first frame on."""
         return False

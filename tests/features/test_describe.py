@@ -100,7 +100,7 @@ def test_orientation_is_opencvs() -> None:
 
 def test_orientation_turns_with_the_image() -> None:
     middle = np.array([[60, 60]])
-    square = IMAGE[:, :121]
+    square = np.ascontiguousarray(IMAGE[:, :121])
     upright, turned = own_angles(square, middle)[0], own_angles(np.ascontiguousarray(np.rot90(square, -1)), middle)[0]
     # np.rot90(…, -1) turns clockwise as seen, which is +90° where y points down.
     assert np.angle(np.exp(1j * (turned - upright))) == pytest.approx(np.pi / 2, abs=1e-5)

@@ -120,7 +120,7 @@ def _higher(builder: Any, a: Any, b: Any) -> Any:
 
 
 def _over_arcs(builder: Any, ring: list[Any], low: Any, high: Any) -> Any:
-    """Return the highest, over all arcs of nine pixels, of the lowest of an arc; or the reverse, as `low` and `high` are."""
+    """Return the highest over all arcs of nine pixels of the lowest in an arc; or the reverse, by `low` and `high`."""
     odd = range(1, 16, 2)
     twos = {k: low(builder, ring[k], ring[(k + 1) % 16]) for k in odd}
     fours = {k: low(builder, twos[k], twos[(k + 2) % 16]) for k in odd}

@@ -127,6 +127,17 @@ def test_detection_is_opencvs_on_each_level_but_not_near_the_edge() -> None:
         assert inner <= expected
 
 
+@pytest.mark.parametrize("width", [10, 37, 38, 39, 70, 71])
+def test_narrow_images_have_opencvs_corners(width: int) -> None:
+    # Narrower than the vectors that are looked at together, just as wide, and wider by less than one more.
+    image = cv2.GaussianBlur(np.random.default_rng(1).integers(0, 256, (300, width), dtype=np.uint8), (0, 0), 0.8)
+    corners = detect([image], 20, 3)
+    keypoints = cv2.FastFeatureDetector.create(20, nonmaxSuppression=True).detect(image)
+    assert len(keypoints) > 10
+    found = [(*px, score) for px, score in zip(corners.px.tolist(), corners.score.tolist(), strict=True)]
+    assert found == [(*keypoint.pt, keypoint.response) for keypoint in keypoints]
+
+
 @pytest.mark.parametrize("size", [(1, 1), (10, 60), (38, 38), (39, 39), (44, 44)])
 def test_an_image_too_small_to_describe_anything_has_no_corners(size: tuple[int, int]) -> None:
     image = np.random.default_rng(0).integers(0, 256, size, dtype=np.uint8)

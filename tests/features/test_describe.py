@@ -4,13 +4,14 @@ import cv2
 import numpy as np
 import pytest
 
-from stillroom.features.orb import (
-    BORDER_PX,
+from stillroom.features.orb import BORDER_PX
+from stillroom.features.patches import (
     N_TURNS,
     PATCH_RADIUS_PX,
+    ROW,
     TURNED_REACH_PX,
+    blur,
     describe,
-    disc_weights,
     orientations,
     patch_half_widths,
     turned_places,
@@ -41,8 +42,39 @@ def angles_by_numpy(image: np.ndarray, px: np.ndarray) -> np.ndarray:
 
 def own_angles(image: np.ndarray, px: np.ndarray) -> np.ndarray:
     angle_rad = np.zeros(len(px), np.float32)
-    orientations(image, px.astype(np.float32), disc_weights(), angle_rad)
+    orientations(image, px.astype(np.float32), angle_rad)
     return angle_rad
+
+
+@pytest.mark.parametrize("darkest", [0, 255, 128])
+def test_an_orientation_is_exact_where_the_image_is_brightest(darkest: int) -> None:
+    # One half of the disc black and the other white, both ways and askew: the largest sums that there can be.
+    y, x = np.mgrid[:60, :70]
+    middle = np.array([[35, 30]])
+    for cut in (x - 35, y - 30, x - y - 5, x + y - 65):
+        for image in (cut > 0, cut < 0):
+            image = np.where(image, 255, darkest).astype(np.uint8)
+            np.testing.assert_array_equal(own_angles(image, middle), angles_by_numpy(image, middle).astype(np.float32))
+
+
+@pytest.mark.parametrize("size", [(121, 160), (39, 39), (50, 79), (5, 5)])
+def test_the_blur_is_opencvs_box_twice(size: tuple[int, int]) -> None:
+    for image in (RNG.integers(0, 256, size, dtype=np.uint8), np.full(size, 255, np.uint8)):
+        once, twice = np.empty_like(image), np.empty_like(image)
+        blur(image, once, twice)
+        np.testing.assert_array_equal(once, cv2.blur(image, (5, 5)))
+        np.testing.assert_array_equal(twice, cv2.blur(cv2.blur(image, (5, 5)), (5, 5)))
+
+
+def test_every_sum_of_a_box_is_divided_as_opencv_does() -> None:
+    # Tiles of all sums from 0 to 25 · 255, as many pixels white as the sum has room for.
+    sums = np.minimum(np.arange(64 * 100), 25 * 255)
+    pixels = np.clip(sums[:, None] - 255 * np.arange(25), 0, 255).astype(np.uint8)
+    image = pixels.reshape(64, 100, 5, 5).swapaxes(1, 2).reshape(320, 500)
+    once, twice = np.empty_like(image), np.empty_like(image)
+    blur(image, once, twice)
+    np.testing.assert_array_equal(once[2::5, 2::5].ravel(), np.rint(sums / 25))
+    np.testing.assert_array_equal(once, cv2.blur(image, (5, 5)))
 
 
 def test_the_disc_is_round_and_the_same_when_turned_by_a_quarter() -> None:
@@ -68,7 +100,7 @@ def test_orientation_is_opencvs() -> None:
 
 def test_orientation_turns_with_the_image() -> None:
     middle = np.array([[60, 60]])
-    square = IMAGE[:, :121]
+    square = np.ascontiguousarray(IMAGE[:, :121])
     upright, turned = own_angles(square, middle)[0], own_angles(np.ascontiguousarray(np.rot90(square, -1)), middle)[0]
     # np.rot90(…, -1) turns clockwise as seen, which is +90° where y points down.
     assert np.angle(np.exp(1j * (turned - upright))) == pytest.approx(np.pi / 2, abs=1e-5)
@@ -90,9 +122,9 @@ def test_descriptor_bits_are_the_comparisons_in_order() -> None:
 @pytest.mark.parametrize("turn_rad", [-np.pi, -3.0, -0.01, 0.0, 0.01, 1.0, np.pi, 6.2])
 def test_the_nearest_turn_of_the_table_is_used(turn_rad: float) -> None:
     # The first place is the keypoint itself, the second tells the turn by where it is: sixteen in a row.
-    places = np.full((N_TURNS, 512), 256 * TURNED_REACH_PX + TURNED_REACH_PX, dtype=np.uint16)
+    places = np.full((N_TURNS, 512), ROW * TURNED_REACH_PX + TURNED_REACH_PX, dtype=np.uint16)
     turns = np.arange(N_TURNS)
-    places[:, 1::2] = (256 * (turns // 16) + turns % 16)[:, None]
+    places[:, 1::2] = (ROW * (turns // 16) + turns % 16)[:, None]
     nearest = round(turn_rad / (2 * np.pi) * N_TURNS) % N_TURNS
     for bright, expected in ((nearest, 255), ((nearest + 1) % N_TURNS, 0)):
         image = np.zeros((60, 70), np.uint8)
@@ -106,7 +138,7 @@ def test_the_nearest_turn_of_the_table_is_used(turn_rad: float) -> None:
 def test_the_turned_pattern_stays_within_the_border() -> None:
     places = turned_places(np.array([[13, 13, -13, 13]] * 256, dtype=np.int32)).astype(int)
     assert places.min() >= 0
-    for along in (places // 256, places % 256):
+    for along in (places // ROW, places % ROW):
         assert along.min() == 0
         assert along.max() == 2 * TURNED_REACH_PX
     assert TURNED_REACH_PX < BORDER_PX

@@ -4,12 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from plain_epipolar import fundamental_from_motion
 from plain_search import best_two, bits_between, one_to_one
 from small_world import CAMERA, SCALES, SmallWorld, pose
 
-from stillroom.features.matching import NEAR_BITS, Targets, search_epipolar
+from stillroom.features.matching import NEAR_BITS, Described, Targets, find_on_lines, keep_nearest
 from stillroom.geometry import se3
-from stillroom.geometry.epipolar import fundamental_from_motion
+from stillroom.geometry.hamming import words
 
 
 def search_plainly(F: np.ndarray, first: Targets, second: Targets, epipole_px: np.ndarray) -> dict[int, int]:
@@ -26,6 +27,20 @@ def search_plainly(F: np.ndarray, first: Targets, second: Targets, epipole_px: n
         if nearest >= 0 and bits[i, nearest] <= NEAR_BITS:
             wanted[int(i)] = (nearest, int(bits[i, nearest]))
     return one_to_one(wanted)
+
+
+def search_epipolar(
+    F: np.ndarray, first: Targets, second: Targets, factors: np.ndarray, epipole_px: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The kernel's matches of the usable keypoints, one to one."""
+    usable = [np.flatnonzero(targets.usable) for targets in (first, second)]
+    described = [
+        Described(t.px[chosen].astype(np.float64), t.octave[chosen], t.right_px[chosen], words(t.descriptors[chosen]))
+        for t, chosen in zip((first, second), usable, strict=True)
+    ]
+    target, bits = find_on_lines(F, *described, factors, np.asarray(epipole_px, np.float64))
+    query, found = keep_nearest(target, bits, len(usable[1]))
+    return usable[0][query], usable[1][found]
 
 
 def two_views(seed: int, T_world_second: np.ndarray) -> tuple[Targets, Targets, np.ndarray, np.ndarray, tuple]:

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from stillroom.features import orb as orb_pattern_module
-from stillroom.features.orb import REACH_PX, describe, disc_weights, orb_pattern, orientations, turned_places
+from stillroom.features.orb import orb_pattern
+from stillroom.features.patches import REACH_PX, describe, orientations, turned_places
 
 
 def textured(seed: int = 0) -> np.ndarray:
@@ -74,7 +75,7 @@ def test_the_kernel_with_its_own_angles_is_close_to_opencv(
     image = textured(1)
     px, _, descriptors = opencv_features(image)
     own_rad, own = np.zeros(len(px), np.float32), np.zeros((len(px), 32), np.uint8)
-    orientations(image, px, disc_weights(), own_rad)
+    orientations(image, px, own_rad)
     describe(blur(image), px, own_rad, turned_places(orb_pattern()), own)
     assert agreement(own, descriptors) > least
 

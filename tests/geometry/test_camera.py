@@ -53,6 +53,22 @@ def test_undistort_agrees_with_opencvs_own() -> None:
     np.testing.assert_allclose(FREIBURG1.undistort(raw), expected.reshape(-1, 2), atol=0.1)
 
 
+@pytest.mark.parametrize("strength", [1.0, 3.0, -1.0, -3.0])
+def test_undistort_is_opencvs_iteration_where_that_converges(strength: float) -> None:
+    # Distortion of the other sign, as strong, takes the corners of the image beyond where the lens can see.
+    camera = dataclasses.replace(FREIBURG1, distortion=tuple(strength * k for k in FREIBURG1.distortion))
+    raw = np.random.default_rng(4).uniform([0, 0], [640, 480], (5000, 2)).astype(np.float32)
+    iterated = getattr(cv2, "undistortPointsIter", cv2.undistortPoints)  # OpenCV 5 folded one into the other
+    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 1e-6)
+    points = raw.astype(np.float64).reshape(-1, 1, 2)
+    expected = iterated(points, camera.K, np.array(camera.distortion), R=np.eye(3), P=camera.K, criteria=criteria)
+    expected, found = expected.reshape(-1, 2), camera.undistort(raw)
+    converged = np.linalg.norm(camera.distort(expected) - raw, axis=1) < 1e-3
+    assert converged.mean() > 0.85
+    np.testing.assert_allclose(found[converged], expected[converged], rtol=1e-6)
+    assert np.isfinite(found).all()
+
+
 def test_undistort_leaves_an_ideal_image_and_no_points_alone() -> None:
     raw = np.random.default_rng(2).uniform(0, 400, (10, 2)).astype(np.float32)
     np.testing.assert_array_equal(IDEAL.undistort(raw), raw)

@@ -3,10 +3,16 @@
 import cv2
 import numpy as np
 import pytest
+from plain_epipolar import fundamental_from_motion
 
 from stillroom.geometry import se3
 from stillroom.geometry.camera import Camera
-from stillroom.geometry.epipolar import fundamental_from_motion, line_distances_px, motion_line_distances_px
+from stillroom.geometry.epipolar import (
+    inverse_motion,
+    line_distances_px,
+    motion_fundamental,
+    motion_line_distances_px,
+)
 
 CAMERA = Camera(640, 480, 542.8, 541.1, 315.6, 237.8)
 
@@ -28,6 +34,15 @@ def test_views_of_the_same_points_lie_on_their_epipolar_lines(seed: int) -> None
     assert abs(np.linalg.det(F)) < 1e-12 * np.linalg.norm(F) ** 3
     backward = fundamental_from_motion(se3.inverse(T_second_first), CAMERA.K)
     assert line_distances_px(backward, second_px, first_px).max() < 1e-8
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_within_kernels_f_and_inverse_are_the_same(seed: int) -> None:
+    T_second_first, _, _ = two_views(seed)
+    expected = fundamental_from_motion(T_second_first, CAMERA.K)
+    found = motion_fundamental(T_second_first, CAMERA.lens)
+    np.testing.assert_allclose(found, expected, rtol=1e-10, atol=1e-12 * np.abs(expected).max())
+    np.testing.assert_allclose(inverse_motion(T_second_first), np.linalg.inv(T_second_first), atol=1e-14)
 
 
 @pytest.mark.parametrize("seed", range(4))

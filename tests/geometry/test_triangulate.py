@@ -35,6 +35,16 @@ def test_noisy_rays_meet_where_opencv_says(seed: int) -> None:
     assert np.median(np.linalg.norm(found - points, axis=1)) > 1e-3
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_noisy_rays_meet_where_the_singular_value_decomposition_says(seed: int) -> None:
+    first, second, first_rays, second_rays, _ = two_views(seed, noise=0.01)
+    found = triangulate(first, second, first_rays, second_rays)
+    for point, a, b in zip(found, first_rays, second_rays, strict=True):
+        rows = [ray[axis] * T[2] - T[axis] for T, ray in ((first, a), (second, b)) for axis in range(2)]
+        *_, last = np.linalg.svd(np.array(rows))[2]
+        np.testing.assert_allclose(point, last[:3] / last[3], rtol=1e-7)
+
+
 def test_parallel_rays_meet_nowhere_near() -> None:
     first, second = se3.identity(), se3.exp(np.array([-0.2, 0, 0, 0, 0, 0]))
     rays = np.array([[0.1, 0.2], [-0.3, 0.0]])

@@ -1,16 +1,18 @@
 """FAST corners on every level of a pyramid, spread evenly (Rosten and Drummond, ECCV 2006)."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic
 
 from stillroom.compiled import njit
 from stillroom.geometry.arrays import F32, I32, I64, U8
 
-_RING_PX = 3
-"""A corner is told from sixteen pixels on a ring of this radius."""
-_STRETCH = 64
-"""Pixels of a row that are looked at together; whole vectors, and short enough to be passed over where all is even."""
+_STRETCH = 32
+"""Pixels of a row that are looked at together: one vector."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +48,10 @@ def detect(levels: list[U8], threshold: int, border_px: int) -> Corners:
         # Of four neighbouring pixels at most one is a strict maximum.
         room = ((height - 2 * border_px + 1) // 2) * ((width - 2 * border_px + 1) // 2)
         found, margin = np.empty((room, 2), np.float32), np.empty(room, np.uint8)
-        n = _detect(np.ascontiguousarray(image), max(1, threshold), border_px, found, margin)
+        n_inside = width - 2 * border_px
+        if n_inside < _STRETCH:
+            image = np.pad(image, ((0, 0), (0, _STRETCH - n_inside)))
+        n = _detect(np.ascontiguousarray(image), n_inside, max(1, threshold), border_px, found, margin)
         px.append(found[:n])
         score.append(margin[:n] - np.float32(1.0))
         level.append(np.full(n, number, np.int32))
@@ -56,21 +61,36 @@ def detect(levels: list[U8], threshold: int, border_px: int) -> Corners:
 
 
 @njit(nogil=True, cache=True)
-def _detect(image: U8, threshold: int, border_px: int, px: F32, margin: U8) -> int:
-    """Write position and margin of each corner, in order of rows; return how many there are."""
+def _detect(image: U8, n_inside: int, threshold: int, border_px: int, px: F32, margin: U8) -> int:
+    """Write position and margin of each corner, in order of rows; return how many there are.
+
+    Args:
+        image: The image (H, W), at least `_STRETCH` + 2 · border wide.
+        n_inside: Columns to search, from `border_px` on.
+        threshold: Margins above it are of corners.
+        border_px: Rows and columns at the edges to leave out.
+        px, margin: What is written.
+    """
     height, width = image.shape
+    flat, least = image.reshape(-1), np.uint8(threshold)
     n = 0
-    # Margins of the last three rows, and which of the middle one are highest among their eight neighbours.
-    rows = np.zeros((3, width - 2 * border_px + 2), np.uint8)
-    words = np.zeros(width // 8 + 1, np.uint64)
+    # Margins of the last three rows, with a zero at either end, and which of the middle one are highest among their
+    # eight neighbours.
+    n_wide = max(n_inside, _STRETCH)
+    rows = np.zeros((3, n_wide + 2), np.uint8)
+    words = np.zeros(n_inside // 8 + 1, np.uint64)
     peaks = words.view(np.uint8)
     for y in range(border_px, height - border_px + 1):
         below = rows[y % 3]
         if y < height - border_px:
-            _margins(image, y, border_px, threshold, below[1:-1])
+            for first in range(0, n_wide, _STRETCH):
+                x = min(first, n_wide - _STRETCH)  # the last stretch overlaps the one before it, so that all are whole
+                _write_margins(flat, y * width + border_px + x, width, least, below, 1 + x)
+            below[n_inside + 1 :] = 0
         else:
             below[:] = 0
-        _peaks(rows[(y - 2) % 3], rows[(y - 1) % 3], below, threshold, peaks)
+        above, row = rows[(y - 2) % 3], rows[(y - 1) % 3]
+        _peaks(above[: n_inside + 2], row[: n_inside + 2], below[: n_inside + 2], threshold, peaks)
         for w in range(len(words)):
             if words[w] == 0:
                 continue
@@ -81,88 +101,82 @@ def _detect(image: U8, threshold: int, border_px: int, px: F32, margin: U8) -> i
     return n
 
 
-@njit(nogil=True, cache=True)
-def _margins(image: U8, y: int, border_px: int, threshold: int, margins: U8) -> None:
-    """Write by how much each pixel of a row differs from its ring, (W − 2 · border): a corner's score, plus one.
+_RING = (
+    (0, 3), (1, 3), (2, 2), (3, 1), (3, 0), (3, -1), (2, -2), (1, -3),
+    (0, -3), (-1, -3), (-2, -2), (-3, -1), (-3, 0), (-3, 1), (-2, 2), (-1, 3),
+)  # fmt: skip
+"""Steps in x and y to the sixteen pixels that tell a corner, one after the other."""
+_PIXELS, _LONG = ir.VectorType(ir.IntType(8), _STRETCH), ir.IntType(64)
 
-    A stretch in which nothing is above the threshold is zero, whatever its margins are.
+
+def _lower(builder: Any, a: Any, b: Any) -> Any:
+    """Return the lower of two pixels, lane by lane."""
+    return builder.select(builder.icmp_unsigned("<", a, b), a, b)
+
+
+def _higher(builder: Any, a: Any, b: Any) -> Any:
+    """Return the higher of two pixels, lane by lane."""
+    return builder.select(builder.icmp_unsigned(">", a, b), a, b)
+
+
+def _over_arcs(builder: Any, ring: list[Any], low: Any, high: Any) -> Any:
+    """Return the highest over all arcs of nine pixels of the lowest in an arc; or the reverse, by `low` and `high`."""
+    odd = range(1, 16, 2)
+    twos = {k: low(builder, ring[k], ring[(k + 1) % 16]) for k in odd}
+    fours = {k: low(builder, twos[k], twos[(k + 2) % 16]) for k in odd}
+    # Two fours that follow each other, and one pixel more at either end, are two arcs.
+    arcs = [
+        low(builder, low(builder, fours[k], fours[(k + 4) % 16]), high(builder, ring[k - 1], ring[(k + 8) % 16]))
+        for k in odd
+    ]
+    while len(arcs) > 1:
+        arcs = [high(builder, arcs[k], arcs[k + 1]) for k in range(0, len(arcs), 2)]
+    return arcs[0]
+
+
+@intrinsic
+def _write_margins(typing_context: Any, flat: Any, at: Any, width: Any, threshold: Any, row: Any, to: Any) -> Any:
+    """Write by how much `_STRETCH` pixels from `flat[at]` on differ from their rings to `row[to]` (kernels only).
+
+    Over all arcs of nine pixels, the most that all nine differ by, which is a corner's score plus one. Where nothing in
+    the stretch is above the threshold it is zero, whatever its margins are: nine of the ring in a row have one of each
+    two opposite pixels, which bounds them. One vector of pixels here: of a loop in Python numba makes twice the code.
     """
-    x, w = border_px - 3, image.shape[1] - border_px + 3
-    r0, r1, r2, r3 = image[y - 3, x:w], image[y - 2, x:w], image[y - 1, x:w], image[y, x:w]
-    r4, r5, r6 = image[y + 1, x:w], image[y + 2, x:w], image[y + 3, x:w]
-    n = len(margins)
-    for first in range(0, n, _STRETCH):
-        # The last stretch overlaps the one before it, so that all are whole.
-        start = max(0, min(first, n - _STRETCH))
-        end = min(start + _STRETCH, n)
-        if _may_have_corner(r0, r3, r6, start, end) > threshold:
-            _ring_margins((r0, r1, r2, r3, r4, r5, r6), start, end, margins)
-        else:
-            margins[start:end] = 0
 
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        image, margins = (context.make_array(signature.args[k])(context, builder, args[k]).data for k in (0, 4))
 
-# Indices below are unsigned: numba then leaves out the question whether they count from the end, and LLVM makes
-# vectors of 32 pixels of the loops. Inlined because calls that pass this many arrays cost a quarter of the time.
+        def pixels(dx: int, dy: int) -> Any:
+            place = builder.add(args[1], builder.add(builder.mul(args[2], _LONG(dy)), _LONG(dx)))
+            return builder.load(builder.bitcast(builder.gep(image, [place]), _PIXELS.as_pointer()), align=1)
 
+        def margin(bright: Any, dark: Any) -> Any:
+            above = builder.sub(_higher(builder, bright, value), value)
+            return _higher(builder, above, builder.sub(value, _lower(builder, dark, value)))
 
-@njit(nogil=True, cache=True, inline="always")
-def _may_have_corner(above: U8, row: U8, below: U8, start: int, end: int) -> np.uint8:
-    """Return a bound on the margins of a stretch: nine of the ring in a row have one of each two opposite pixels."""
-    u3, u6 = np.uint64(3), np.uint64(6)
-    most = np.uint8(0)
-    for x in range(np.uint64(start), np.uint64(end)):
-        value, left, right = row[x + u3], row[x], row[x + u6]
-        bright = min(max(above[x + u3], below[x + u3]), max(left, right))
-        dark = max(min(above[x + u3], below[x + u3]), min(left, right))
-        most = max(most, np.uint8(max(bright, value) - value), np.uint8(value - min(dark, value)))
-    return most
-
-
-@njit(nogil=True, cache=True, inline="always")
-def _ring_margins(rows: tuple[U8, ...], start: int, end: int, margins: U8) -> None:
-    """Write the margins of a stretch of a row: over all arcs of nine pixels, the most that all nine differ by."""
-    r0, r1, r2, r3, r4, r5, r6 = rows
-    u1, u2, u3, u4, u5, u6 = np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(4), np.uint64(5), np.uint64(6)
-    for x in range(np.uint64(start), np.uint64(end)):
-        a0, a1, a2, a3 = r6[x + u3], r6[x + u4], r5[x + u5], r4[x + u6]
-        a4, a5, a6, a7 = r3[x + u6], r2[x + u6], r1[x + u5], r0[x + u4]
-        a8, a9, a10, a11 = r0[x + u3], r0[x + u2], r1[x + u1], r2[x]
-        a12, a13, a14, a15 = r3[x], r4[x], r5[x + u1], r6[x + u2]
-        # Fours that start at each odd pixel; two of them and one pixel more at either end are arcs of nine.
-        l1, l3, l5, l7 = min(a1, a2), min(a3, a4), min(a5, a6), min(a7, a8)
-        l9, l11, l13, l15 = min(a9, a10), min(a11, a12), min(a13, a14), min(a15, a0)
-        l1, l3, l5, l7, l9, l11, l13, l15 = (
-            min(l1, l3), min(l3, l5), min(l5, l7), min(l7, l9), min(l9, l11), min(l11, l13), min(l13, l15), min(l15, l1)
-        )  # fmt: skip
-        bright = max(
-            max(
-                max(min(min(l1, l5), max(a0, a9)), min(min(l3, l7), max(a2, a11))),
-                max(min(min(l5, l9), max(a4, a13)), min(min(l7, l11), max(a6, a15))),
-            ),
-            max(
-                max(min(min(l9, l13), max(a8, a1)), min(min(l11, l15), max(a10, a3))),
-                max(min(min(l13, l1), max(a12, a5)), min(min(l15, l3), max(a14, a7))),
-            ),
+        value, below, right, above, left = pixels(0, 0), *(pixels(*_RING[k]) for k in (0, 4, 8, 12))
+        bright = _lower(builder, _higher(builder, above, below), _higher(builder, left, right))
+        dark = _higher(builder, _lower(builder, above, below), _lower(builder, left, right))
+        first = builder.insert_element(ir.Constant(_PIXELS, ir.Undefined), args[3], ir.IntType(32)(0))
+        least = builder.shuffle_vector(
+            first, first, ir.Constant(ir.VectorType(ir.IntType(32), _STRETCH), [0] * _STRETCH)
         )
-        h1, h3, h5, h7 = max(a1, a2), max(a3, a4), max(a5, a6), max(a7, a8)
-        h9, h11, h13, h15 = max(a9, a10), max(a11, a12), max(a13, a14), max(a15, a0)
-        h1, h3, h5, h7, h9, h11, h13, h15 = (
-            max(h1, h3), max(h3, h5), max(h5, h7), max(h7, h9), max(h9, h11), max(h11, h13), max(h13, h15), max(h15, h1)
-        )  # fmt: skip
-        dark = min(
-            min(
-                min(max(max(h1, h5), min(a0, a9)), max(max(h3, h7), min(a2, a11))),
-                min(max(max(h5, h9), min(a4, a13)), max(max(h7, h11), min(a6, a15))),
-            ),
-            min(
-                min(max(max(h9, h13), min(a8, a1)), max(max(h11, h15), min(a10, a3))),
-                min(max(max(h13, h1), min(a12, a5)), max(max(h15, h3), min(a14, a7))),
-            ),
-        )
-        value = r3[x + u3]
-        margins[x] = max(max(bright, value) - value, value - min(dark, value))
+        may_be = builder.bitcast(builder.icmp_unsigned(">", margin(bright, dark), least), ir.IntType(_STRETCH))
+        target = builder.bitcast(builder.gep(margins, [args[5]]), _PIXELS.as_pointer())
+        with builder.if_else(builder.icmp_unsigned("!=", may_be, may_be.type(0))) as (some, none):
+            with some:
+                ring = [pixels(*step) for step in _RING]
+                bright, dark = _over_arcs(builder, ring, _lower, _higher), _over_arcs(builder, ring, _higher, _lower)
+                builder.store(margin(bright, dark), target, align=1)
+            with none:
+                builder.store(ir.Constant(_PIXELS, [0] * _STRETCH), target, align=1)
+        return context.get_dummy_value()
+
+    return types.void(flat, types.int64, types.int64, types.uint8, row, types.int64), codegen
 
 
+# Indices are unsigned: numba then leaves out the question whether they count from the end, and LLVM makes vectors of 32
+# pixels of the loop.
 @njit(nogil=True, cache=True, inline="always")
 def _peaks(above: U8, row: U8, below: U8, threshold: int, peaks: U8) -> None:
     """Write the margins of a row that are above the threshold and those of all eight neighbours, else zero.

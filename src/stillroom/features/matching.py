@@ -6,62 +6,74 @@ from typing import NamedTuple
 import numpy as np
 
 from stillroom.compiled import njit
-from stillroom.geometry.arrays import F32, F64, I32, U8, U64, Bool, Floats, Ints
+from stillroom.geometry.arrays import F32, F64, I32, I64, U8, U64, Bool, Floats, Ints
 from stillroom.geometry.hamming import hamming, words
 
-# Keypoints sorted into square cells, so that a window is searched and not the whole image.
+# Keypoints sorted by level and into square cells, so that a window is searched on some levels and not the whole image.
 
 
 CELL_PX = 16.0
+"""Side of a cell on the finest three levels; each three more have cells larger by as much, as their windows are."""
 
 
 class Grid(NamedTuple):
-    """Cells row by row over the extent of the keypoints.
+    """Cells row by row over the extent of the keypoints, level after level.
 
     Attributes:
         origin_px: Corner of the first cell (2,) float32 [px].
-        shape: Rows and columns of cells (2,) int32.
-        start: Where each cell's keypoints start in `order` (cells + 1,) int32.
-        order: Indices of the keypoints, cell after cell (N,) int32.
+        shape: Rows and columns of cells on each level (L, 2) int64.
+        first: Number of the first cell of each level (L,) int64.
+        start: Where each cell's keypoints start in `order` (cells + 1,) int64.
+        order: Indices of the keypoints, cell after cell (M,) int64; those that are not usable are left out.
     """
 
     origin_px: F32
-    shape: I32
-    start: I32
-    order: I32
-
-
-def build_grid(px: F32) -> Grid:
-    """Sort keypoints (N, 2) [px] into cells."""
-    return Grid(*_sort_into_cells(px))
+    shape: I64
+    first: I64
+    start: I64
+    order: I64
 
 
 @njit(nogil=True, cache=True)
-def _sort_into_cells(px: F32) -> tuple[F32, I32, I32, I32]:
+def side_px(level: int) -> float:
+    """Return the side of a level's cells [px]."""
+    return CELL_PX * (1 + level // 3)
+
+
+@njit(nogil=True, cache=True)
+def build_grid(px: F32, octave: I32, usable: Bool) -> Grid:
+    """Sort keypoints (N, 2) [px], found on levels (N,), into cells."""
     origin_px, far_px = np.zeros(2, np.float32), np.zeros(2, np.float32)
+    n_levels = 1
     for i in range(len(px)):
         for k in range(2):
             origin_px[k] = px[i, k] if i == 0 else min(origin_px[k], px[i, k])
             far_px[k] = px[i, k] if i == 0 else max(far_px[k], px[i, k])
-    shape = np.empty(2, np.int32)
-    shape[0] = int((far_px[1] - origin_px[1]) / CELL_PX) + 1
-    shape[1] = int((far_px[0] - origin_px[0]) / CELL_PX) + 1
-    n_cells = shape[0] * shape[1]
-    cell = np.empty(len(px), np.int32)
-    start = np.zeros(n_cells + 1, np.int32)
+        n_levels = max(n_levels, octave[i] + 1)
+    shape, first = np.empty((n_levels, 2), np.int64), np.empty(n_levels, np.int64)
+    n_cells = 0
+    for level in range(n_levels):
+        first[level] = n_cells
+        for k in range(2):
+            shape[level, 1 - k] = int((far_px[k] - origin_px[k]) / side_px(level)) + 1
+        n_cells += shape[level, 0] * shape[level, 1]
+    cell = np.empty(len(px), np.int64)
+    start = np.zeros(n_cells + 1, np.int64)
     for i in range(len(px)):
-        column = int((px[i, 0] - origin_px[0]) / CELL_PX)
-        row = int((px[i, 1] - origin_px[1]) / CELL_PX)
-        cell[i] = row * shape[1] + column
-        start[cell[i] + 1] += 1
+        if usable[i]:
+            level, side = octave[i], side_px(octave[i])
+            row, column = int((px[i, 1] - origin_px[1]) / side), int((px[i, 0] - origin_px[0]) / side)
+            cell[i] = first[level] + row * shape[level, 1] + column
+            start[cell[i] + 1] += 1
     for c in range(n_cells):
         start[c + 1] += start[c]
     fill = start[:-1].copy()
-    order = np.empty(len(px), np.int32)
+    order = np.empty(start[-1], np.int64)
     for i in range(len(px)):
-        order[fill[cell[i]]] = i
-        fill[cell[i]] += 1
-    return origin_px, shape, start, order
+        if usable[i]:
+            order[fill[cell[i]]] = i
+            fill[cell[i]] += 1
+    return Grid(origin_px, shape, first, start, order)
 
 
 FAR_BITS = 100
@@ -69,6 +81,7 @@ FAR_BITS = 100
 NEAR_BITS = 50
 """The same where there is none (TH_LOW)."""
 _HISTOGRAM_BINS = 30
+_NOTHING = 257 << 48
 
 
 @dataclass(frozen=True)
@@ -103,6 +116,21 @@ class Targets:
     descriptors: U8
     usable: Bool
 
+    @property
+    def arrays(self) -> "TargetArrays":
+        """The same as kernels take them."""
+        return TargetArrays(self.px, self.octave, self.right_px, words(self.descriptors), self.usable)
+
+
+class TargetArrays(NamedTuple):
+    """`Targets` as the kernels take them; descriptors as words (N, 4)."""
+
+    px: F32
+    octave: I32
+    right_px: F32
+    words: U64
+    usable: Bool
+
 
 def search_windows(queries: Queries, targets: Targets, max_bits: int = FAR_BITS, ratio: float = 1.0) -> tuple[I32, I32]:
     """Find for each query the nearest descriptor in its window.
@@ -116,20 +144,14 @@ def search_windows(queries: Queries, targets: Targets, max_bits: int = FAR_BITS,
     Returns:
         Query (M,) and target (M,) of each match; a target of several queries goes to the nearest of them.
     """
-    grid = build_grid(targets.px)
-    q, t = queries, targets
+    q = queries
     row = np.arange(len(q.px), dtype=np.int32) if q.row is None else q.row
-    target, bits = _search_windows(
-        _Wanted(q.px, q.radius_px, q.min_octave, q.max_octave, q.right_px, words(q.descriptors), row),
-        _TargetArrays(t.px, t.octave, t.right_px, words(t.descriptors), t.usable),
-        grid,
-        max_bits,
-        ratio,
-    )
-    return one_to_one(target, bits, len(targets.px))
+    wanted = Wanted(q.px, q.radius_px, q.min_octave, q.max_octave, q.right_px, words(q.descriptors), row)
+    query, target = find_in_windows(wanted, targets.arrays, max_bits, ratio)
+    return query, target
 
 
-class _Wanted(NamedTuple):
+class Wanted(NamedTuple):
     """`Queries` as the kernel takes them; descriptors as words (R, 4)."""
 
     px: F32
@@ -141,54 +163,62 @@ class _Wanted(NamedTuple):
     row: I32
 
 
-class _TargetArrays(NamedTuple):
-    """`Targets` as the kernels take them; descriptors as words (N, 4)."""
-
-    px: F32
-    octave: I32
-    right_px: F32
-    words: U64
-    usable: Bool
+@njit(nogil=True, cache=True)
+def find_in_windows(wanted: Wanted, there: TargetArrays, max_bits: int, ratio: float) -> tuple[I32, I32]:
+    """Do what `search_windows` tells."""
+    grid = build_grid(there.px, there.octave, there.usable)
+    target, bits = _search_windows(wanted, there, grid, max_bits, ratio)
+    return keep_nearest(target, bits, len(there.px))
 
 
 @njit(nogil=True, cache=True)
-def _search_windows(wanted: _Wanted, there: _TargetArrays, grid: Grid, max_bits: int, ratio: float) -> tuple[I32, I32]:
+def _search_windows(wanted: Wanted, there: TargetArrays, grid: Grid, max_bits: int, ratio: float) -> tuple[I32, I32]:
     query_px, radius_px, min_octave, max_octave, query_right_px, query_words, query_row = wanted
-    px, octave, right_px, target_words, usable = there
-    origin_px, shape, start, order = grid
+    px, octave, right_px, target_words, _ = there
+    origin_px, shape, first, start, order = grid
     n = len(query_px)
     found = np.full(n, -1, np.int32)
     found_bits = np.full(n, 257, np.int32)
+    # What is asked of every keypoint of a cell lies together. Of equally near ones the first counts, row by row of the
+    # finest cells.
+    sorted_px, rank = np.empty((len(order), 2), np.float32), np.empty(len(order), np.int64)
+    for k in range(len(order)):
+        i = order[k]
+        sorted_px[k, 0], sorted_px[k, 1] = px[i, 0], px[i, 1]
+        row, column = int((px[i, 1] - origin_px[1]) / CELL_PX), int((px[i, 0] - origin_px[0]) / CELL_PX)
+        rank[k] = (row * shape[0, 1] + column) * len(px) + i
     for q in range(n):
         x, y, r = query_px[q, 0], query_px[q, 1], radius_px[q]
-        c0 = max(0, int(np.floor((x - r - origin_px[0]) / CELL_PX)))
-        c1 = min(shape[1] - 1, int(np.floor((x + r - origin_px[0]) / CELL_PX)))
-        r0 = max(0, int(np.floor((y - r - origin_px[1]) / CELL_PX)))
-        r1 = min(shape[0] - 1, int(np.floor((y + r - origin_px[1]) / CELL_PX)))
-        if c1 < c0 or r1 < r0:
+        best, second, at, after = _NOTHING, _NOTHING, -1, -1
+        for level in range(max(0, min_octave[q]), min(len(first) - 1, max_octave[q]) + 1):
+            n_rows, n_columns, side = shape[level, 0], shape[level, 1], side_px(level)
+            c0 = max(0, int(np.floor((x - r - origin_px[0]) / side)))
+            c1 = min(n_columns - 1, int(np.floor((x + r - origin_px[0]) / side)))
+            r0 = max(0, int(np.floor((y - r - origin_px[1]) / side)))
+            r1 = min(n_rows - 1, int(np.floor((y + r - origin_px[1]) / side)))
+            if c1 < c0:
+                continue
+            for row in range(r0, r1 + 1):
+                line = first[level] + row * n_columns
+                for k in range(start[line + c0], start[line + c1 + 1]):
+                    # Both at once, for each is a toss of a coin that the processor would guess wrong.
+                    if not ((abs(sorted_px[k, 0] - x) <= r) & (abs(sorted_px[k, 1] - y) <= r)):
+                        continue
+                    i = order[k]
+                    if query_right_px[q] >= 0 and right_px[i] >= 0 and abs(query_right_px[q] - right_px[i]) > r:
+                        continue
+                    near = hamming(query_words, query_row[q], target_words, i) << 48 | rank[k]
+                    if near < best:
+                        second, after = best, at
+                        best, at = near, i
+                    elif near < second:
+                        second, after = near, i
+        if at < 0 or best >> 48 > max_bits:
             continue
-        best, second, best_octave, second_octave, at = 257, 257, -1, -1, -1
-        for row in range(r0, r1 + 1):
-            for k in range(start[row * shape[1] + c0], start[row * shape[1] + c1 + 1]):
-                i = order[k]
-                # All at once, for each is a toss of a coin that the processor would guess wrong.
-                fits = usable[i] & (octave[i] >= min_octave[q]) & (octave[i] <= max_octave[q])
-                if not (fits & (abs(px[i, 0] - x) <= r) & (abs(px[i, 1] - y) <= r)):
-                    continue
-                if query_right_px[q] >= 0 and right_px[i] >= 0 and abs(query_right_px[q] - right_px[i]) > r:
-                    continue
-                bits = hamming(query_words, query_row[q], target_words, i)
-                if bits < best:
-                    second, second_octave = best, best_octave
-                    best, best_octave, at = bits, octave[i], i
-                elif bits < second:
-                    second, second_octave = bits, octave[i]
-        if best > max_bits:
-            continue
-        if best_octave == second_octave and best > ratio * second:
+        if after >= 0 and octave[at] == octave[after] and best >> 48 > ratio * (second >> 48):
             continue
         found[q] = at
-        found_bits[q] = best
+        found_bits[q] = best >> 48
     return found, found_bits
 
 
@@ -221,34 +251,7 @@ def _match_anywhere(first: U64, second: U64, max_bits: int, ratio: float) -> tup
     return found, found_bits
 
 
-def search_epipolar(
-    F_second_first: F64, first: Targets, second: Targets, scale_factors: F64, epipole_px: Floats
-) -> tuple[I32, I32]:
-    """Match usable keypoints of two keyframes along epipolar lines (ORB-SLAM2's search for triangulation).
-
-    Args:
-        F_second_first: Fundamental matrix (3, 3): `p_second @ F @ p_first = 0`.
-        first, second: Keypoints; only the usable ones take part.
-        scale_factors: Size of a pixel of each level in the image (L,) [px].
-        epipole_px: Projection of the first camera's centre in the second image (2,); without depth nothing near it
-            can be triangulated.
-
-    Returns:
-        Indices into `first` and `second` (K,), one to one.
-    """
-    mine, theirs = np.flatnonzero(first.usable), np.flatnonzero(second.usable)
-    target, bits = _search_epipolar(
-        F_second_first,
-        _described(first, mine),
-        _described(second, theirs),
-        scale_factors,
-        np.asarray(epipole_px, dtype=np.float64),
-    )
-    query, found = one_to_one(target, bits, len(theirs))
-    return mine[query].astype(np.int32), theirs[found].astype(np.int32)
-
-
-class _Described(NamedTuple):
+class Described(NamedTuple):
     """Keypoints with positions (N, 2) float64 [px], and descriptors as words (N, 4)."""
 
     px: F64
@@ -257,20 +260,35 @@ class _Described(NamedTuple):
     words: U64
 
 
-def _described(targets: Targets, chosen: Ints) -> _Described:
-    t = targets
-    px = t.px[chosen].astype(np.float64)
-    return _Described(px, t.octave[chosen], t.right_px[chosen], words(t.descriptors[chosen]))
-
-
 @njit(nogil=True, cache=True)
-def _search_epipolar(
-    F: F64, first: _Described, second: _Described, scale_factors: F64, epipole_px: F64
-) -> tuple[I32, I32]:
+def find_on_lines(F: F64, first: Described, second: Described, scale_factors: F64, epipole_px: F64) -> tuple[I32, I32]:
+    """Match keypoints of two keyframes along epipolar lines (ORB-SLAM2's search for triangulation).
+
+    Args:
+        F: Fundamental matrix (3, 3): `p_second @ F @ p_first = 0`.
+        first, second: N and M keypoints.
+        scale_factors: Size of a pixel of each level in the image (L,) [px].
+        epipole_px: Projection of the first camera's centre in the second image (2,); without depth nothing near it
+            can be triangulated.
+
+    Returns:
+        The second keypoint that each first one looks like most (N,), −1 for none, and how many bits differ (N,).
+    """
     px1, _, right1, words1 = first
     px2, octave2, right2, words2 = second
     found = np.full(len(px1), -1, np.int32)
     found_bits = np.full(len(px1), 257, np.int32)
+    n = len(px2)
+    x2, y2, reach2 = np.empty(n), np.empty(n), np.empty(n)
+    by_epipole = np.empty(n, np.bool_)
+    for j in range(n):
+        sigma = scale_factors[octave2[j]]
+        x2[j], y2[j], reach2[j] = px2[j, 0], px2[j, 1], 3.84 * sigma * sigma
+        ex, ey = epipole_px[0] - x2[j], epipole_px[1] - y2[j]
+        by_epipole[j] = right2[j] < 0 and ex * ex + ey * ey < 100.0 * sigma * scale_factors[0]
+    # Few lie near a line: all are asked by whole vectors, and the answers looked through eight at a time.
+    eights = np.zeros(n // 8 + 1, np.uint64)
+    is_near = eights.view(np.uint8)
     for i in range(len(px1)):
         x, y = px1[i, 0], px1[i, 1]
         a = F[0, 0] * x + F[0, 1] * y + F[0, 2]
@@ -279,32 +297,33 @@ def _search_epipolar(
         norm = a * a + b * b
         if norm == 0.0:
             continue
+        for j in range(np.uint64(n)):
+            distance = a * x2[j] + b * y2[j] + c
+            is_near[j] = distance * distance <= reach2[j] * norm
         best = NEAR_BITS + 1
-        for j in range(len(px2)):
-            sigma = scale_factors[octave2[j]]
-            distance = a * px2[j, 0] + b * px2[j, 1] + c
-            if distance * distance > 3.84 * sigma * sigma * norm:
+        for eight in range(len(eights)):
+            if eights[eight] == 0:
                 continue
-            if right1[i] < 0 and right2[j] < 0:
-                ex, ey = epipole_px[0] - px2[j, 0], epipole_px[1] - px2[j, 1]
-                if ex * ex + ey * ey < 100.0 * sigma * scale_factors[0]:
+            for j in range(8 * eight, 8 * eight + 8):
+                if is_near[j] == 0 or (right1[i] < 0 and by_epipole[j]):
                     continue
-            bits = hamming(words1, i, words2, j)
-            if bits < best:
-                best = bits
-                found[i] = j
-                found_bits[i] = bits
+                bits = hamming(words1, i, words2, j)
+                if bits < best:
+                    best = bits
+                    found[i] = j
+                    found_bits[i] = bits
     return found, found_bits
 
 
 def one_to_one(target: I32, bits: I32, n_targets: int) -> tuple[I32, I32]:
     """Keep for each target the nearest query, of equal ones the first; `target` (Q,) is −1 where one found nothing."""
-    query, found = _one_to_one(target, bits, n_targets)
+    query, found = keep_nearest(target, bits, n_targets)
     return query, found
 
 
 @njit(nogil=True, cache=True)
-def _one_to_one(target: I32, bits: I32, n_targets: int) -> tuple[I32, I32]:
+def keep_nearest(target: I32, bits: I32, n_targets: int) -> tuple[I32, I32]:
+    """Do what `one_to_one` tells."""
     owner = np.full(n_targets, -1, np.int32)
     for q in range(len(target)):
         t = target[q]
@@ -324,12 +343,19 @@ def consistent_rotation(first_rad: Floats, second_rad: Floats) -> Bool:
 
     The second and third bin count only with at least a tenth of the first one's matches.
     """
-    if len(first_rad) == 0:
-        return np.zeros(0, dtype=np.bool_)
-    turn = np.mod(np.asarray(first_rad) - np.asarray(second_rad), 2.0 * np.pi)
-    # Rounded, so that the middle of a bin, not a border, lies at no rotation, the most common case.
-    bins: Ints = np.rint(turn * (_HISTOGRAM_BINS / (2.0 * np.pi))).astype(np.int64) % _HISTOGRAM_BINS
-    return np.asarray(_in_common_bins(bins))
+    return np.asarray(steady_turns(np.asarray(first_rad), np.asarray(second_rad)))
+
+
+@njit(nogil=True, cache=True)
+def steady_turns(first_rad: Floats, second_rad: Floats) -> Bool:
+    """Do what `consistent_rotation` tells; both (M,) of one type of numbers."""
+    bins = np.empty(len(first_rad), np.int64)
+    number = first_rad.dtype.type
+    whole, per_rad = number(2.0 * np.pi), number(_HISTOGRAM_BINS / (2.0 * np.pi))
+    for i in range(len(first_rad)):
+        # Rounded, so that the middle of a bin, not a border, lies at no rotation, the most common case.
+        bins[i] = int(np.rint(((first_rad[i] - second_rad[i]) % whole) * per_rad)) % _HISTOGRAM_BINS
+    return _in_common_bins(bins)
 
 
 @njit(nogil=True, cache=True)

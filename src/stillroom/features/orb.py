@@ -12,21 +12,15 @@ from stillroom.data.frame import Frame, Keypoints, ScaleLevels
 from stillroom.data.image import Image
 from stillroom.data.map import Map
 from stillroom.data.sensor import Sensor
-from stillroom.features.corners import Corners, detect, spread
+from stillroom.features.corners import detect, spread
 from stillroom.features.keypoint_depth import KeypointDepth, RegisteredDepth
-from stillroom.geometry.arrays import F32, F64, I32, I64, U8, U16, Bool
+from stillroom.features.patches import REACH_PX, blur, describe, orientations, turned_places
+from stillroom.geometry.arrays import F32, F64, I32, I64, U8, Bool
 from stillroom.geometry.camera import Camera
 from stillroom.protocols import Parts
 
-PATCH_RADIUS_PX = 15
 BORDER_PX = 19
 """The turned pattern reaches 13·√2 px and rounds up; nothing closer to the edge can be described."""
-N_TURNS = 256
-"""The pattern is turned in steps of 1.4°, a tenth of what the descriptor notices; a table is faster than sines."""
-REACH_PX = 13
-"""No comparison reaches further than this from the keypoint, along x or y."""
-TURNED_REACH_PX = 18
-"""The same once it is turned: 13·√2 px."""
 _WIDTH = 2 * REACH_PX + 1
 _TILE_PX = 64
 _TILES = 48
@@ -41,84 +35,6 @@ def _at_usual_size(gray: U8, size: tuple[int, int]) -> U8:
         return gray
     how = cv2.INTER_AREA if size[0] < gray.shape[1] else cv2.INTER_LINEAR
     return np.asarray(cv2.resize(gray, size, interpolation=how), dtype=np.uint8)
-
-
-# Orientation and ORB descriptor of corners, on one level of the pyramid.
-
-
-def patch_half_widths() -> I32:
-    """Return the half width of each row of the disc over which the orientation is taken, (16,) int32.
-
-    The disc is OpenCV's: symmetric about the diagonal, so that its steep part mirrors the flat one. Rounding each row
-    by itself, as one would, turns the angle by 2° in the median, and the descriptor differs from OpenCV's.
-    """
-    rows = np.arange(PATCH_RADIUS_PX + 1)
-    widths = np.rint(np.sqrt(PATCH_RADIUS_PX**2 - rows**2)).astype(np.int32)
-    mirrored = np.array([np.flatnonzero(widths >= row).max() for row in rows], dtype=np.int32)
-    return np.where(rows * np.sqrt(2.0) > PATCH_RADIUS_PX, mirrored, widths).astype(np.int32)
-
-
-def disc_weights() -> tuple[F32, F32]:
-    """Return what the pixels of the patch count in its moments along x and along y, (31, 32) each; 0 outside the disc.
-
-    A column more than the patch has makes whole vectors.
-    """
-    away = np.arange(-PATCH_RADIUS_PX, PATCH_RADIUS_PX + 2, dtype=np.float32)
-    rows = away[:-1, None]
-    inside = np.abs(away) <= patch_half_widths()[np.abs(rows).astype(np.int64)]
-    return np.where(inside, away, np.float32(0.0)), np.where(inside, rows, np.float32(0.0))
-
-
-# The order of the sum is free because float32 holds every partial sum of whole numbers here without rounding.
-@njit(nogil=True, cache=True, fastmath={"reassoc", "contract"})
-def orientations(image: U8, px: F32, weights: tuple[F32, F32], angle_rad: F32) -> None:
-    """Fill the angle (N,) from keypoint to the centroid of brightness in its disc (Rublee et al. 2011, 3.2)."""
-    along_x, along_y = weights
-    # Unsigned indices are not asked whether they count from the end, which makes vectors of the inner loop.
-    n_rows, n_columns = np.uint64(along_x.shape[0]), np.uint64(along_x.shape[1])
-    for i in range(len(px)):
-        left, top = np.uint64(px[i, 0] - PATCH_RADIUS_PX), np.uint64(px[i, 1] - PATCH_RADIUS_PX)
-        m10, m01 = np.float32(0.0), np.float32(0.0)
-        for row in range(n_rows):
-            for column in range(n_columns):
-                value = np.float32(image[top + row, left + column])
-                m10 += along_x[row, column] * value
-                m01 += along_y[row, column] * value
-        angle_rad[i] = np.arctan2(m01, m10)
-
-
-def turned_places(pattern: I32) -> U16:
-    """Return the pattern (256, 4) turned by each of `N_TURNS` angles, (N_TURNS, 512) uint16.
-
-    Of comparison k the first place is at 2k, the second at 2k + 1: the row times 256 and the column, both counted from
-    the first that can be reached.
-    """
-    angle_rad = 2.0 * np.pi * np.arange(N_TURNS) / N_TURNS
-    c, s = np.cos(angle_rad)[:, None], np.sin(angle_rad)[:, None]
-    x, y = pattern.reshape(-1, 2).T.astype(np.float64)
-    row, column = TURNED_REACH_PX + np.rint(x * s + y * c), TURNED_REACH_PX + np.rint(x * c - y * s)
-    return np.asarray(256 * row + column, dtype=np.uint16)
-
-
-@njit(nogil=True, cache=True)
-def describe(blurred: U8, px: F32, angle_rad: F32, places: U16, descriptors: U8) -> None:
-    """Fill the descriptors (N, 32): 256 comparisons of the blurred level, turned by the keypoint's angle."""
-    # One small table for all levels stays in the processor's cache; ready offsets would need one for each.
-    flat, width = blurred.reshape(-1), np.uint64(blurred.shape[1])
-    per_rad = N_TURNS / (2.0 * np.pi)
-    u1, u8, low = np.uint64(1), np.uint64(8), np.uint64(255)
-    for i in range(len(px)):
-        first = np.uint64(px[i, 1] - TURNED_REACH_PX) * width + np.uint64(px[i, 0] - TURNED_REACH_PX)
-        turned = places[int(np.floor(angle_rad[i] * per_rad + 0.5)) % N_TURNS]
-        for byte in range(np.uint64(32)):
-            value = np.uint64(0)
-            for bit in range(u8):
-                k = np.uint64(16) * byte + np.uint64(2) * bit
-                one, other = np.uint64(turned[k]), np.uint64(turned[k + u1])
-                one = first + (one >> u8) * width + (one & low)
-                other = first + (other >> u8) * width + (other & low)
-                value |= np.uint64(flat[one] < flat[other]) << bit
-            descriptors[i, byte] = value
 
 
 # The 256 comparisons of the ORB descriptor, recovered from OpenCV.
@@ -246,7 +162,6 @@ class OrbExtractor:
         """Prepare quotas and tables."""
         self.config, self.camera, self.scales, self.seed = config, camera, scales, seed
         self._depth = depth
-        self._disc = disc_weights()
         shares = self.scales.factors**-1.0
         self._quotas = [int(q) for q in np.rint(config.n_features * shares / shares.sum())]
         self._sizes = [(max(1, round(camera.width / f)), max(1, round(camera.height / f))) for f in self.scales.factors]
@@ -268,13 +183,14 @@ class OrbExtractor:
         if config.weak_score != config.usual_score and len(corners.score) < 2 * config.n_features:
             corners = detect(levels, config.weak_score, BORDER_PX)
         chosen = spread(corners, self._sizes, self._quotas, config.strong_score, self.seed)
-        angle_rad, descriptors = self._describe(levels, corners, chosen)
-        raw_px = self._to_finest_level(corners, chosen)
+        own_px, octave = corners.px[chosen], corners.level[chosen]
+        angle_rad, descriptors = self._describe(levels, own_px, octave)
+        raw_px = in_the_image(own_px, octave, self._ratios)
         n = len(raw_px)
         return levels, Keypoints(
             px=self.camera.undistort(raw_px),
             raw_px=raw_px,
-            octave=corners.level[chosen],
+            octave=octave,
             angle_rad=angle_rad,
             descriptors=descriptors,
             depth_m=np.zeros(n, dtype=np.float32),
@@ -282,29 +198,34 @@ class OrbExtractor:
         )
 
     def _pyramid(self, gray: U8) -> list[U8]:
-        levels = [_at_usual_size(gray, self._sizes[0])]
+        levels = [np.ascontiguousarray(_at_usual_size(gray, self._sizes[0]))]
         for size, (level, _, _) in zip(self._sizes[1:], self._scratch[1:], strict=True):
             resized = cv2.resize(levels[-1], size, dst=level, interpolation=cv2.INTER_LINEAR)
             levels.append(np.asarray(resized, dtype=np.uint8))
         return levels
 
-    def _describe(self, levels: list[U8], corners: Corners, chosen: I64) -> tuple[F32, U8]:
-        angle_rad = np.zeros(len(chosen), dtype=np.float32)
-        descriptors = np.zeros((len(chosen), 32), dtype=np.uint8)
-        edges = np.searchsorted(corners.level[chosen], np.arange(len(levels) + 1))
+    def _describe(self, levels: list[U8], px: F32, octave: I32) -> tuple[F32, U8]:
+        angle_rad, descriptors = np.empty(len(px), dtype=np.float32), np.empty((len(px), 32), dtype=np.uint8)
+        edges = np.searchsorted(octave, np.arange(len(levels) + 1)).tolist()
         for number, image in enumerate(levels):
             own = slice(edges[number], edges[number + 1])
             if own.start == own.stop:
                 continue
-            px = corners.px[chosen[own]]
-            # Two 5×5 boxes have the variance of OpenCV's Gaussian (σ = 2 px) at two thirds of its cost.
-            _, once, twice = self._scratch[number]
-            blurred = np.asarray(cv2.blur(cv2.blur(image, (5, 5), dst=once), (5, 5), dst=twice), dtype=np.uint8)
-            orientations(image, px, self._disc, angle_rad[own])
-            describe(blurred, px, angle_rad[own], self._places, descriptors[own])
+            _, once, blurred = self._scratch[number]
+            blur(image, once, blurred)
+            orientations(image, px[own], angle_rad[own])
+            describe(blurred, px[own], angle_rad[own], self._places, descriptors[own])
         return angle_rad, descriptors
 
-    def _to_finest_level(self, corners: Corners, chosen: I64) -> F32:
-        """Return positions (K, 2) in the image as taken; pixel centres, not corners, are what a resize keeps."""
-        ratio = self._ratios[corners.level[chosen]]
-        return np.asarray((corners.px[chosen] + 0.5) * ratio - 0.5, dtype=np.float32)
+
+@njit(nogil=True, cache=True)
+def in_the_image(px: F32, octave: I32, ratios: F64) -> F32:
+    """Return where pixels (N, 2) of levels (N,) lie in the image as taken (N, 2) [px].
+
+    Pixel centres, not corners, are what a resize keeps. `ratios` (L, 2) are the sizes of the image by those of levels.
+    """
+    raw_px, half = np.empty((len(px), 2), np.float32), np.float32(0.5)
+    for i in range(len(px)):
+        for axis in range(2):
+            raw_px[i, axis] = (px[i, axis] + half) * ratios[octave[i], axis] - 0.5
+    return raw_px

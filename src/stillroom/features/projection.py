@@ -8,10 +8,13 @@ import numpy as np
 from stillroom.compiled import njit
 from stillroom.data.frame import ScaleLevels
 from stillroom.data.map import Map
-from stillroom.features.matching import FAR_BITS, Queries, Targets, search_windows
-from stillroom.geometry.arrays import F32, F64, I32, Bool
+from stillroom.features.matching import FAR_BITS, TargetArrays, Targets, Wanted, find_in_windows
+from stillroom.geometry.arrays import F32, F64, I32, U64, Bool
 from stillroom.geometry.camera import Camera, Lens
+from stillroom.geometry.hamming import words
 
+MIN_VIEW_COS = 0.5
+"""Below this cosine between present and mean viewing direction a point is not looked for (ORB-SLAM2)."""
 HEAD_ON_COS = 0.998
 """From this cosine between present and mean viewing direction on, a point is seen almost head-on (ORB-SLAM2)."""
 
@@ -52,7 +55,7 @@ class PointGeometry(NamedTuple):
     max_distance_m: F64
 
 
-class _Viewer(NamedTuple):
+class Viewer(NamedTuple):
     """A camera as the kernel takes it.
 
     Attributes:
@@ -87,7 +90,7 @@ def project_points(
     camera: Camera,
     scale_factors: F64,
     points: PointGeometry,
-    min_view_cos: float = 0.5,
+    min_view_cos: float = MIN_VIEW_COS,
     ids: I32 | None = None,
     reach: float = 1.0,
 ) -> Projection:
@@ -113,21 +116,20 @@ def project_points(
         np.zeros(n, np.float64),
         np.zeros(n, np.bool_),
     )
-    viewer = _Viewer(
-        np.ascontiguousarray(T_cam_world),
-        camera.lens,
-        float(camera.bf),
-        camera.undistorted_bounds_px,
-        float(np.log(scale_factors[1] / scale_factors[0])) if len(scale_factors) > 1 else 1.0,
-        len(scale_factors),
-        float(reach),
-    )
-    _project(viewer, points, ids, min_view_cos, seen)
+    _project(viewer_of(T_cam_world, camera, scale_factors, reach), points, ids, min_view_cos, seen)
     return Projection(*seen)
 
 
+def viewer_of(T_cam_world: F64, camera: Camera, scale_factors: F64, reach: float = 1.0) -> Viewer:
+    """Return a camera at a pose (4, 4), with levels (L,) of this size [px], as kernels take it."""
+    n_levels = len(scale_factors)
+    log_factor = float(np.log(scale_factors[1] / scale_factors[0])) if n_levels > 1 else 1.0
+    pose, bounds_px = np.ascontiguousarray(T_cam_world), camera.undistorted_bounds_px
+    return Viewer(pose, camera.lens, float(camera.bf), bounds_px, log_factor, n_levels, float(reach))
+
+
 @njit(nogil=True, cache=True)
-def _project(viewer: _Viewer, points: PointGeometry, ids: I32, min_view_cos: float, seen: _Projected) -> None:
+def _project(viewer: Viewer, points: PointGeometry, ids: I32, min_view_cos: float, seen: _Projected) -> None:
     T, lens, bf, bounds_px, log_factor, n_levels, reach = viewer
     position_m, normals, min_distance_m, max_distance_m = points
     px, right_px, octave, view_cos, depth_m, visible = seen
@@ -162,6 +164,16 @@ def _project(viewer: _Viewer, points: PointGeometry, ids: I32, min_view_cos: flo
         visible[i] = True
 
 
+class Around(NamedTuple):
+    """`Window` as the kernel takes it."""
+
+    head_on_px: float
+    radius_px: float
+    levels_above: int
+    max_bits: int
+    ratio: float
+
+
 @dataclass(frozen=True)
 class Window:
     """The window of a guided search around projections, and what counts as a match.
@@ -179,6 +191,12 @@ class Window:
     levels_above: int = 1
     max_bits: int = FAR_BITS
     ratio: float = 1.0
+
+    @property
+    def around(self) -> Around:
+        """The same as kernels take it."""
+        head_on_px = self.radius_px if self.head_on_px is None else self.head_on_px
+        return Around(float(head_on_px), float(self.radius_px), self.levels_above, self.max_bits, float(self.ratio))
 
 
 @dataclass(frozen=True)
@@ -202,9 +220,15 @@ class ProjectionMatches:
 
 def projected(ids: I32, T_cam_world: F64, camera: Camera, world: Map, scales: ScaleLevels | None = None) -> Projection:
     """Project points (P,) of a map into a camera at `T_cam_world` (4, 4); `scales` as for `search_around`."""
-    points, scales = world.points, scales or world.scales
-    geometry = PointGeometry(points.position_m, points.normal, points.min_distance_m, points.max_distance_m)
-    return project_points(T_cam_world, camera, scales.factors, geometry, ids=ids, reach=scales.reach(world.scales))
+    scales = scales or world.scales
+    reach = scales.reach(world.scales)
+    return project_points(T_cam_world, camera, scales.factors, geometry_of(world), ids=ids, reach=reach)
+
+
+def geometry_of(world: Map) -> PointGeometry:
+    """Return the points of a map as kernels take them; views are invalid after the table grows."""
+    points = world.points
+    return PointGeometry(points.position_m, points.normal, points.min_distance_m, points.max_distance_m)
 
 
 def keyframe_targets(keyframe: int, world: Map) -> Targets:
@@ -236,20 +260,46 @@ def search_around(
         scales: The pyramid that the targets were found on; by default the map's, as for targets of its keyframes.
     """
     scales = scales or world.scales
-    p = projected(ids, T_cam_world, camera, world, scales)
-    head_on_px = window.radius_px if window.head_on_px is None else window.head_on_px
-    visible, px, radius_px, octave, right_px = _windows(
+    found = find_around(
+        viewer_of(T_cam_world, camera, scales.factors, scales.reach(world.scales)),
+        geometry_of(world),
         ids,
-        _Projected(p.px, p.right_px, p.octave, p.view_cos, p.depth_m, p.visible),
-        float(head_on_px),
-        float(window.radius_px),
         scales.factors,
+        words(world.points.descriptors),
+        targets.arrays,
+        window.around,
     )
-    queries = Queries(
-        px, radius_px, octave - 1, octave + window.levels_above, right_px, world.points.descriptors, visible
+    return ProjectionMatches(*found)
+
+
+@njit(nogil=True, cache=True)
+def find_around(
+    viewer: Viewer,
+    points: PointGeometry,
+    ids: I32,
+    scale_factors: F64,
+    descriptors: U64,
+    there: TargetArrays,
+    around: Around,
+) -> tuple[I32, I32, I32, F32, F32]:
+    """Return what `ProjectionMatches` holds; descriptors of the points as words (P, 4)."""
+    n = len(ids)
+    seen = _Projected(
+        np.empty((n, 2), np.float32),
+        np.empty(n, np.float32),
+        np.empty(n, np.int32),
+        np.empty(n, np.float32),
+        np.empty(n, np.float64),
+        np.zeros(n, np.bool_),
     )
-    query, target = search_windows(queries, targets, max_bits=window.max_bits, ratio=window.ratio)
-    return ProjectionMatches(visible, visible[query], target, px[query], right_px[query])
+    _project(viewer, points, ids, MIN_VIEW_COS, seen)
+    visible, px, radius_px, octave, right_px = _windows(ids, seen, around.head_on_px, around.radius_px, scale_factors)
+    low, high = np.empty_like(octave), np.empty_like(octave)
+    for i in range(len(octave)):
+        low[i], high[i] = octave[i] - 1, octave[i] + around.levels_above
+    wanted = Wanted(px, radius_px, low, high, right_px, descriptors, visible)
+    query, target = find_in_windows(wanted, there, around.max_bits, around.ratio)
+    return visible, visible[query], target, px[query], right_px[query]
 
 
 @njit(nogil=True, cache=True)

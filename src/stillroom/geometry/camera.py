@@ -1,19 +1,17 @@
 """The pinhole camera with Brown–Conrady distortion and registered depth."""
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple, TypeVar
 
-import cv2
 import numpy as np
 
+from stillroom.compiled import njit
 from stillroom.errors import CalibrationError
 from stillroom.geometry.arrays import F32, F64, Floats
 from stillroom.geometry.depth_noise import KNOWN, UNKNOWN
 from stillroom.geometry.pixels import in_pixels, pixel_scale
-
-# OpenCV 4 has the iterated form under a name of its own; OpenCV 5 folded it into undistortPoints.
-_undistort_points = getattr(cv2, "undistortPointsIter", cv2.undistortPoints)
 
 Coordinate = TypeVar("Coordinate", float, F64)
 
@@ -44,6 +42,41 @@ def brown_conrady(lens: Lens, x: Coordinate, y: Coordinate) -> tuple[Coordinate,
     u = lens.fx * (x * radial + 2.0 * lens.p1 * x * y + lens.p2 * (r2 + 2.0 * x * x)) + lens.cx
     v = lens.fy * (y * radial + lens.p1 * (r2 + 2.0 * y * y) + 2.0 * lens.p2 * x * y) + lens.cy
     return u, v
+
+
+_ITERATIONS, _NEAR_PX = 20, 1e-6
+
+
+@njit(nogil=True, cache=True)
+def undistorted(raw_px: F64, lens: Lens) -> F32:
+    """Return where an ideal pinhole would see points (N, 2) of the image as taken, (N, 2) [px].
+
+    Fixed-point iterations, until what is found is seen within a millionth of a pixel of the point: those of OpenCV's
+    `undistortPointsIter` (`undistortPoints` in OpenCV 5), which costs two to three times as much.
+    """
+    fx, fy, cx, cy, k1, k2, p1, p2, k3 = lens
+    ideal_px = np.empty((len(raw_px), 2), np.float32)
+    per_fx, per_fy = 1.0 / fx, 1.0 / fy
+    for i in range(len(raw_px)):
+        u, v = raw_px[i, 0], raw_px[i, 1]
+        x0, y0 = (u - cx) * per_fx, (v - cy) * per_fy
+        x, y = x0, y0
+        for _ in range(_ITERATIONS):
+            r2 = x * x + y * y
+            per_radial = 1.0 / (1.0 + ((k3 * r2 + k2) * r2 + k1) * r2)
+            if per_radial < 0.0:  # beyond where the lens can see
+                x, y = x0, y0
+                break
+            dx, dy = 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x), p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
+            x, y = (x0 - dx) * per_radial, (y0 - dy) * per_radial
+            r2 = x * x + y * y
+            radial = 1.0 + k1 * r2 + k2 * (r2 * r2) + k3 * (r2 * r2 * r2)
+            e_u = (x * radial + p1 * (2.0 * x * y) + p2 * (r2 + 2.0 * x * x)) * fx + cx - u
+            e_v = (y * radial + p1 * (r2 + 2.0 * y * y) + p2 * (2.0 * x * y)) * fy + cy - v
+            if math.sqrt(e_u * e_u + e_v * e_v) < _NEAR_PX:
+                break
+        ideal_px[i, 0], ideal_px[i, 1] = fx * x + cx, fy * y + cy
+    return ideal_px
 
 
 LONGEST_READOUT_S = 0.2
@@ -153,10 +186,7 @@ class Camera:
         """Move points (N, 2) of the image as taken to where an ideal pinhole would see them, (N, 2)."""
         if len(raw_px) == 0 or not self.is_distorted:
             return np.ascontiguousarray(raw_px, dtype=np.float32)
-        points = np.ascontiguousarray(raw_px, dtype=np.float64).reshape(-1, 1, 2)
-        criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 1e-6)
-        moved = _undistort_points(points, self.K, np.asarray(self.distortion), R=np.eye(3), P=self.K, criteria=criteria)
-        return np.asarray(moved, dtype=np.float32).reshape(-1, 2)
+        return np.asarray(undistorted(np.ascontiguousarray(raw_px, dtype=np.float64), self.lens), dtype=np.float32)
 
     def distort(self, px: Floats) -> F64:
         """Move undistorted points (N, 2) to where they lie in the image as taken, (N, 2) [px]."""

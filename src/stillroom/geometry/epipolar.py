@@ -1,5 +1,7 @@
 """Two views of a static point: the epipolar constraint."""
 
+import math
+
 import numpy as np
 
 from stillroom.compiled import njit
@@ -8,8 +10,12 @@ from stillroom.geometry.camera import Lens
 
 # Points from two views.
 
+_MAX_SWEEPS = 30
+"""Four or five are enough; none where numbers are not finite."""
 
-def triangulate(T_first_world: Floats, T_second_world: Floats, first_rays: Floats, second_rays: Floats) -> F64:
+
+@njit(nogil=True, cache=True)
+def triangulate(T_first_world: F64, T_second_world: F64, first_rays: F64, second_rays: F64) -> F64:
     """Triangulate by the linear method (Hartley and Zisserman, section 12.2).
 
     Args:
@@ -17,32 +23,60 @@ def triangulate(T_first_world: Floats, T_second_world: Floats, first_rays: Float
         first_rays, second_rays: Normalised image coordinates (N, 2): x/z, y/z.
 
     Returns:
-        Points (N, 3), world frame; not finite where the rays are parallel.
+        Points (N, 3), world frame; not finite, or far away, where the rays are parallel.
     """
-    P1, P2 = np.asarray(T_first_world)[:3], np.asarray(T_second_world)[:3]
-    A = np.stack(
-        (
-            first_rays[:, :1] * P1[2] - P1[0],
-            first_rays[:, 1:] * P1[2] - P1[1],
-            second_rays[:, :1] * P2[2] - P2[0],
-            second_rays[:, 1:] * P2[2] - P2[1],
-        ),
-        axis=1,
-    )
-    homogeneous = np.linalg.svd(A)[2][:, -1]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(homogeneous[:, :3] / homogeneous[:, 3:])
+    points_m, A, V = np.empty((len(first_rays), 3)), np.empty((4, 4)), np.empty((4, 4))
+    for i in range(len(first_rays)):
+        for axis in range(2):
+            for c in range(4):
+                A[axis, c] = first_rays[i, axis] * T_first_world[2, c] - T_first_world[axis, c]
+                A[2 + axis, c] = second_rays[i, axis] * T_second_world[2, c] - T_second_world[axis, c]
+        last = _shortest_direction(A, V)
+        for axis in range(3):
+            points_m[i, axis] = V[axis, last] / V[3, last] if V[3, last] != 0.0 else np.inf
+    return points_m
 
 
-def fundamental_from_motion(T_second_first: Floats, K: Floats) -> F64:
-    """Return F (..., 3, 3) with `p_second @ F @ p_first = 0` from known motions (..., 4, 4): F = K⁻ᵀ [t]× R K⁻¹.
+@njit(nogil=True, cache=True)
+def _shortest_direction(A: F64, V: F64) -> int:
+    """Turn columns of `A` (n, n) by pairs until all are at right angles, as `V` (n, n) notes; return the shortest.
 
-    OC-SLAM Eq. 1; Hartley and Zisserman, Eq. 9.2.
+    That column of `V` is the right singular vector of the smallest singular value: one-sided Jacobi (Golub and Van
+    Loan, 8.6.3), which for four columns is done sooner than a call of LAPACK.
     """
-    K_inverse = np.linalg.inv(K)
-    R = np.asarray(T_second_first)[..., :3, :3]
-    t = np.asarray(T_second_first)[..., :3, 3]
-    return np.asarray(K_inverse.T @ np.cross(t[..., None, :], R, axisb=-2, axisc=-2) @ K_inverse)
+    n = A.shape[0]
+    V[:] = 0.0
+    for c in range(n):
+        V[c, c] = 1.0
+    for _ in range(_MAX_SWEEPS):
+        turned = False
+        for p in range(n - 1):
+            for q in range(p + 1, n):
+                pp, qq, pq = 0.0, 0.0, 0.0
+                for r in range(n):
+                    pp += A[r, p] * A[r, p]
+                    qq += A[r, q] * A[r, q]
+                    pq += A[r, p] * A[r, q]
+                if not abs(pq) > 1e-15 * math.sqrt(pp * qq):
+                    continue
+                turned = True
+                zeta = (qq - pp) / (2.0 * pq)
+                t = math.copysign(1.0, zeta) / (abs(zeta) + math.sqrt(1.0 + zeta * zeta))
+                c = 1.0 / math.sqrt(1.0 + t * t)
+                s = c * t
+                for r in range(n):
+                    A[r, p], A[r, q] = c * A[r, p] - s * A[r, q], s * A[r, p] + c * A[r, q]
+                    V[r, p], V[r, q] = c * V[r, p] - s * V[r, q], s * V[r, p] + c * V[r, q]
+        if not turned:
+            break
+    last, shortest = 0, np.inf
+    for c in range(n):
+        length2 = 0.0
+        for r in range(n):
+            length2 += A[r, c] * A[r, c]
+        if length2 < shortest:
+            last, shortest = c, length2
+    return last
 
 
 def line_distances_px(F_second_first: Floats, first_px: Floats, second_px: Floats) -> F64:
@@ -76,6 +110,38 @@ def printed_line_distances(F_second_first: Floats, first_px: Floats, second_px: 
     lines = first_px @ F[:, :2].T + F[:, 2]
     norm = np.linalg.norm(lines, axis=1)
     return np.asarray((np.sum(lines[:, :2] * second_px, axis=1) + lines[:, 2]) / np.where(norm > 0, norm, 1.0))
+
+
+@njit(nogil=True, cache=True)
+def inverse_motion(T_a_b: F64) -> F64:
+    """Do what `se3.inverse` tells, of one motion (4, 4), within kernels."""
+    T_b_a = np.zeros((4, 4))
+    for i in range(3):
+        for j in range(3):
+            T_b_a[i, j] = T_a_b[j, i]
+            T_b_a[i, 3] -= T_a_b[j, i] * T_a_b[j, 3]
+    T_b_a[3, 3] = 1.0
+    return T_b_a
+
+
+@njit(nogil=True, cache=True)
+def motion_fundamental(T_second_first: F64, lens: Lens) -> F64:
+    """Return F (3, 3) with `p_second @ F @ p_first = 0` from a known motion (4, 4): F = K⁻ᵀ [t]× R K⁻¹.
+
+    OC-SLAM Eq. 1; Hartley and Zisserman, Eq. 9.2. Distortion is not read.
+    """
+    T, fx, fy, cx, cy = T_second_first, lens.fx, lens.fy, lens.cx, lens.cy
+    F = np.empty((3, 3))
+    for c in range(3):
+        x, y, z = T[0, c], T[1, c], T[2, c]
+        # [t]× R from the left by K⁻ᵀ.
+        e0, e1, e2 = T[1, 3] * z - T[2, 3] * y, T[2, 3] * x - T[0, 3] * z, T[0, 3] * y - T[1, 3] * x
+        F[0, c], F[1, c] = e0 / fx, e1 / fy
+        F[2, c] = e2 - F[0, c] * cx - F[1, c] * cy
+    for r in range(3):
+        F[r, 0], F[r, 1] = F[r, 0] / fx, F[r, 1] / fy
+        F[r, 2] -= F[r, 0] * cx + F[r, 1] * cy
+    return F
 
 
 @njit(nogil=True, cache=True)

@@ -12,17 +12,18 @@ def identity() -> F64:
 
 def from_rotation_translation(R_a_b: Floats, t_a_b_m: Floats) -> F64:
     """Assemble `T_a_b` (4, 4) from a rotation (3, 3) and a translation (3,)."""
-    T_a_b = np.eye(4)
+    T_a_b = np.zeros((4, 4))
     T_a_b[:3, :3] = R_a_b
     T_a_b[:3, 3] = t_a_b_m
+    T_a_b[3, 3] = 1.0
     return T_a_b
 
 
 def inverse(T_a_b: Floats) -> F64:
     """Return `T_b_a` (..., 4, 4) of rigid motions `T_a_b` (..., 4, 4), using that the rotation is orthogonal."""
     if T_a_b.ndim == 2:  # One motion, the common case, without the machinery for many.
-        R, t = T_a_b[:3, :3], T_a_b[:3, 3]
-        return from_rotation_translation(R.T, -(R.T @ t))
+        R_b_a = T_a_b[:3, :3].T
+        return from_rotation_translation(R_b_a, -(R_b_a @ T_a_b[:3, 3]))
     T_b_a = np.zeros_like(T_a_b, dtype=np.float64)
     R_b_a = np.swapaxes(T_a_b[..., :3, :3], -1, -2)
     T_b_a[..., :3, :3] = R_b_a
@@ -81,7 +82,10 @@ def are_near(T_a_b: Floats, T_c_b: Floats, reach_m: float, reach_rad: float) -> 
 def orthonormalize(T_a_b: Floats) -> F64:
     """Return `T_a_b` (4, 4) with its rotation replaced by the nearest true rotation."""
     U, _, Vt = np.linalg.svd(T_a_b[:3, :3])
-    R = U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))]) @ Vt
+    R = U @ Vt
+    (a, b, c), (d, e, f), (g, h, i) = R.tolist()
+    if a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g) < 0.0:  # a mirror
+        R = U @ np.diag([1.0, 1.0, -1.0]) @ Vt
     return from_rotation_translation(R, T_a_b[:3, 3])
 
 

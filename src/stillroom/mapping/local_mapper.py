@@ -1,20 +1,22 @@
 """Local mapping (ORB-SLAM2): the update of the map for a new keyframe."""
 
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from stillroom.bounds import bounded
+from stillroom.compiled import njit
 from stillroom.data.map import Map
 from stillroom.data.result import FirstView, Tracked
 from stillroom.geometry import se3
-from stillroom.geometry.arrays import I32, I64
+from stillroom.geometry.arrays import F32, F64, I32, I64
 from stillroom.geometry.camera import Camera
 from stillroom.mapping.culling import TRIAL, Trial, cull_keyframes, cull_points, on_trial
 from stillroom.mapping.fusing import fuse_neighbourhood
 from stillroom.mapping.new_points import by_triangulation, from_depth
-from stillroom.optimize import observations
 from stillroom.optimize.bundle import BundleAdjuster, BundleConfig, BundleProblem, BundleResult
+from stillroom.optimize.observations import of_keypoints
 from stillroom.protocols import Parts
 
 # Bundle adjustment of a part of the map: a keyframe, its covisible ones and all that they see, or the whole map.
@@ -76,14 +78,18 @@ class _Part:
 
 def _part_around(free: list[int], world: Map) -> _Part | None:
     """Copy what adjusting some keyframes takes; None where there is nothing to adjust."""
-    table, points, keyframes = world.keypoints, world.points, world.keyframes
+    table, keyframes = world.keypoints, world.keyframes
     point_ids = world.points_seen_by(np.array(free))
     place, rows = world.observations(point_ids)
-    obs_keyframe = table.keyframe[rows]
-    involved = np.flatnonzero(np.bincount(obs_keyframe, minlength=len(keyframes)))
-    index_of = np.empty(len(keyframes), dtype=np.int32)
-    index_of[involved] = np.arange(len(involved))
-    is_fixed = ~np.isin(involved, free) | (keyframes.parent[involved] < 0)
+    asked = np.zeros(len(keyframes), dtype=np.bool_)
+    asked[free] = True
+    involved, *seen = _seen_in(
+        rows,
+        _Rows(table.keyframe, table.px, table.right_px, table.octave, table.p_static),
+        len(keyframes),
+        world.scales.inverse_variances,
+    )
+    is_fixed = ~asked[involved] | (keyframes.parent[involved] < 0)
     if is_fixed.all() or len(rows) == 0:
         return None
     if not is_fixed.any():
@@ -91,15 +97,46 @@ def _part_around(free: list[int], world: Map) -> _Part | None:
     problem = BundleProblem(
         T_cam_world=se3.inverse(keyframes.T_world_cam[involved]),
         is_fixed=is_fixed,
-        points_world_m=points.position_m[point_ids],
-        obs_keyframe=index_of[obs_keyframe],
+        points_world_m=world.points.position_m[point_ids],
+        obs_keyframe=seen[0],
         obs_point=place,
-        observed_px=observations.observed_px(table.px[rows], table.right_px[rows]),
-        weights=observations.weights(table.octave[rows], table.right_px[rows], world.scales.inverse_variances),
-        p_static=table.p_static[rows],
+        observed_px=seen[1],
+        weights=seen[2],
+        p_static=seen[3],
     )
     moved = np.flatnonzero(~is_fixed)
     return _Part(problem, moved, involved[moved], point_ids, rows)
+
+
+class _Rows(NamedTuple):
+    """Columns of the keypoint table."""
+
+    keyframe: I32
+    px: F32
+    right_px: F32
+    octave: I32
+    p_static: F32
+
+
+@njit(nogil=True, cache=True)
+def _seen_in(rows: I32, table: _Rows, n_keyframes: int, inverse_variances: F64) -> tuple[I64, I64, F64, F64, F64]:
+    """Return the keyframes of rows (O,), oldest first, which of them each row is in, and what that saw.
+
+    Returns:
+        Keyframes (M,), an index into them (O,), and as `BundleProblem` has them: u, v, u_right (O, 3) [px], inverse
+        variances (O, 3) [1/px²], and the probability to be static (O,).
+    """
+    index_of = np.full(n_keyframes, -1, np.int64)
+    for row in rows:
+        index_of[table.keyframe[row]] = 0
+    keyframes = np.flatnonzero(index_of == 0)
+    for i in range(len(keyframes)):
+        index_of[keyframes[i]] = i
+    inside, p_static = np.empty(len(rows), np.int64), np.empty(len(rows))
+    for i in range(len(rows)):
+        inside[i], p_static[i] = index_of[table.keyframe[rows[i]]], table.p_static[rows[i]]
+    seen_px, weights = of_keypoints(rows, table.px, table.octave, table.right_px, inverse_variances)
+    return keyframes, inside, seen_px, weights, p_static
 
 
 @dataclass(frozen=True)

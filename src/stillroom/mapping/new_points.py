@@ -8,13 +8,16 @@ import numpy as np
 from stillroom.compiled import njit
 from stillroom.data.map import Map
 from stillroom.data.result import Tracked
-from stillroom.features.matching import Targets, search_epipolar
+from stillroom.features.matching import Described, find_on_lines, keep_nearest
 from stillroom.geometry import se3
-from stillroom.geometry.arrays import F32, F64, I32, I64, Bool
-from stillroom.geometry.camera import Camera
-from stillroom.geometry.epipolar import fundamental_from_motion, triangulate
+from stillroom.geometry.arrays import F32, F64, I32, I64, U64, Bool
+from stillroom.geometry.camera import Camera, Lens
+from stillroom.geometry.epipolar import inverse_motion, motion_fundamental, triangulate
+from stillroom.geometry.hamming import words
 from stillroom.optimize.observations import to_camera
 
+BY_NOTHING, BY_RAYS, BY_FIRST, BY_SECOND = 0, 1, 2, 3
+"""How a point is located: not at all, by triangulation, by the depth of the first keypoint or of the second."""
 MIN_NEAREST = 100
 """A keyframe makes at least this many points from depth, however far (ORB-SLAM2)."""
 _CHI2_2D, _CHI2_3D = 5.991, 7.815
@@ -59,12 +62,11 @@ def by_triangulation(keyframe: int, neighbours: list[int], camera: Camera, world
     for neighbour in neighbours:
         if np.linalg.norm(world.keyframes.T_world_cam[neighbour, :3, 3] - centre) < shortest(neighbour, camera, world):
             continue
-        first, second = _search(keyframe, neighbour, camera, world)
+        first, second, positions_m = _pair(keyframe, neighbour, camera, world)
         if len(first) == 0:
             continue
-        positions_m, good = _locate(first, second, camera, world)
-        new = world.add_points(positions_m[good], first[good])
-        world.observe(new, second[good])
+        new = world.add_points(positions_m, first, refresh=False)
+        world.observe(new, second)
         made.append(new)
     ids = np.concatenate(made)
     world.refresh(ids)
@@ -85,75 +87,28 @@ def shortest(neighbour: int, camera: Camera, world: Map) -> float:
     return _SHORTEST * float(np.median(depths)) if len(depths) else np.inf
 
 
-def _search(keyframe: int, neighbour: int, camera: Camera, world: Map) -> tuple[I64, I64]:
-    """Return rows (M,) of the keyframe and rows of the neighbour that match along epipolar lines."""
-    T_neighbour_world = se3.inverse(world.keyframes.T_world_cam[neighbour])
-    T_neighbour_keyframe = T_neighbour_world @ world.keyframes.T_world_cam[keyframe]
-    F = fundamental_from_motion(T_neighbour_keyframe, camera.K)
-    # The keyframe's centre seen from the neighbour; behind it or in its plane there is no epipole to avoid.
-    tx, ty, tz = T_neighbour_keyframe[:3, 3]
-    epipole_px = (
-        np.array([camera.fx * tx / tz + camera.cx, camera.fy * ty / tz + camera.cy])
-        if abs(tz) > 1e-6
-        else np.full(2, 1e9)
-    )
+def _pair(keyframe: int, neighbour: int, camera: Camera, world: Map) -> tuple[I64, I64, F64]:
+    """Return rows (M,) of the keyframe and of a neighbour that see the same, and where that lies (M, 3) [m, world]."""
+    table, T_world_cam = world.keypoints, world.keyframes.T_world_cam
     rows, others = world.rows(keyframe), world.rows(neighbour)
-    first, second = search_epipolar(
-        F, _free_targets(rows, world), _free_targets(others, world), world.scales.factors, epipole_px
+    first, second, positions_m = pair_rows(
+        (rows.start, rows.stop, others.start, others.stop),
+        _Table(
+            table.px,
+            table.depth_m,
+            table.right_px,
+            table.octave,
+            words(table.descriptors),
+            table.point,
+            table.is_static,
+        ),
+        T_world_cam[keyframe],
+        T_world_cam[neighbour],
+        camera.lens,
+        float(camera.bf),
+        (world.scales.factors, world.scales.inverse_variances, 1.5 * world.scales.factor),
     )
-    return rows.start + first.astype(np.int64), others.start + second.astype(np.int64)
-
-
-def _free_targets(rows: slice, world: Map) -> Targets:
-    table = world.keypoints
-    usable = (table.point[rows] < 0) & table.is_static[rows]
-    return Targets(table.px[rows], table.octave[rows], table.right_px[rows], table.descriptors[rows], usable)
-
-
-def _locate(first: I64, second: I64, camera: Camera, world: Map) -> tuple[F64, Bool]:
-    """Return positions (M, 3) [m, world] of matched rows and which of them are reliable."""
-    table, keyframes = world.keypoints, world.keyframes
-    T_world_first = keyframes.T_world_cam[table.keyframe[first[0]]]
-    T_world_second = keyframes.T_world_cam[table.keyframe[second[0]]]
-    T_first_world, T_second_world = se3.inverse(T_world_first), se3.inverse(T_world_second)
-    seen = _Seen(table.px, table.depth_m, table.right_px, table.octave)
-    intrinsics = (camera.fx, camera.fy, camera.cx, camera.cy, camera.bf)
-    way = choose_ways(first, second, seen, T_world_first, T_world_second, intrinsics)
-    positions_m = np.zeros((len(first), 3))
-    rays = way == BY_RAYS
-    positions_m[rays] = triangulate(
-        T_first_world, T_second_world, _rays(first[rays], camera, world), _rays(second[rays], camera, world)
-    )
-    for chosen, rows, T_world_cam in (
-        (way == BY_FIRST, first, T_world_first),
-        (way == BY_SECOND, second, T_world_second),
-    ):
-        points_cam = camera.back_project(table.px[rows[chosen]], table.depth_m[rows[chosen]])
-        positions_m[chosen] = se3.transform(T_world_cam, points_cam)
-    good = np.isfinite(positions_m).all(axis=1) & (way != BY_NOTHING)
-    positions_m[~good] = 0.0
-    check(positions_m, first, seen, T_first_world, intrinsics, world.scales.inverse_variances, good)
-    check(positions_m, second, seen, T_second_world, intrinsics, world.scales.inverse_variances, good)
-    slack = 1.5 * world.scales.factor
-    check_scales(
-        positions_m,
-        table.octave[first],
-        table.octave[second],
-        T_world_first,
-        T_world_second,
-        world.scales.factors,
-        slack,
-        good,
-    )
-    return positions_m, good
-
-
-def _rays(rows: I64, camera: Camera, world: Map) -> F64:
-    return camera.back_project(world.keypoints.px[rows], np.ones(len(rows)))[:, :2]
-
-
-BY_NOTHING, BY_RAYS, BY_FIRST, BY_SECOND = 0, 1, 2, 3
-"""How a point is located: not at all, by triangulation, by the depth of the first keypoint or of the second."""
+    return first, second, positions_m
 
 
 class _Seen(NamedTuple):
@@ -163,6 +118,136 @@ class _Seen(NamedTuple):
     depth_m: F32
     right_px: F32
     octave: I32
+
+
+class _Table(NamedTuple):
+    """More of them; descriptors as words (R, 4)."""
+
+    px: F32
+    depth_m: F32
+    right_px: F32
+    octave: I32
+    words: U64
+    point: I32
+    is_static: Bool
+
+
+@njit(nogil=True, cache=True)
+def pair_rows(
+    ranges: tuple[int, int, int, int],
+    table: _Table,
+    T_world_first: F64,
+    T_world_second: F64,
+    lens: Lens,
+    bf: float,
+    scales: tuple[F64, F64, float],
+) -> tuple[I64, I64, F64]:
+    """Return pairs of static rows without a point, (M,) each, and where that lies (M, 3) [m, world].
+
+    Args:
+        ranges: First and last row, less one, of the two keyframes.
+        table: All rows.
+        T_world_first, T_world_second: Poses T_world_cam (4, 4).
+        lens, bf: The camera; distortion is not read.
+        scales: Size (L,) [px] and inverse variance (L,) [1/px²] of the levels, and by which factor distances may differ
+            from what levels say.
+    """
+    factors, inverse_variances, slack = scales
+    T_first_world, T_second_world = inverse_motion(T_world_first), inverse_motion(T_world_second)
+    T_second_first = np.empty((4, 4))
+    for r in range(4):
+        for c in range(4):
+            T_second_first[r, c] = 0.0
+            for k in range(4):
+                T_second_first[r, c] += T_second_world[r, k] * T_world_first[k, c]
+    # The keyframe's centre seen from the neighbour; behind it or in its plane there is no epipole to avoid.
+    tx, ty, tz = T_second_first[0, 3], T_second_first[1, 3], T_second_first[2, 3]
+    epipole_px = np.full(2, 1e9)
+    if abs(tz) > 1e-6:
+        epipole_px[0], epipole_px[1] = lens.fx * tx / tz + lens.cx, lens.fy * ty / tz + lens.cy
+    mine, theirs = _free_rows(ranges[0], ranges[1], table), _free_rows(ranges[2], ranges[3], table)
+    F = motion_fundamental(T_second_first, lens)
+    target, bits = find_on_lines(F, _described(mine, table), _described(theirs, table), factors, epipole_px)
+    query, found = keep_nearest(target, bits, len(theirs))
+    first, second = mine[query], theirs[found]
+    seen, intrinsics = (
+        _Seen(table.px, table.depth_m, table.right_px, table.octave),
+        (lens.fx, lens.fy, lens.cx, lens.cy, bf),
+    )
+    positions_m, good = locate(
+        first, second, seen, (T_world_first, T_world_second, T_first_world, T_second_world), intrinsics
+    )
+    check(positions_m, first, seen, T_first_world, intrinsics, inverse_variances, good)
+    check(positions_m, second, seen, T_second_world, intrinsics, inverse_variances, good)
+    octaves = table.octave[first], table.octave[second]
+    check_scales(positions_m, octaves[0], octaves[1], T_world_first, T_world_second, factors, slack, good)
+    return first[good], second[good], positions_m[good]
+
+
+@njit(nogil=True, cache=True)
+def _free_rows(start: int, stop: int, table: _Table) -> I64:
+    """Return the static rows (M,) of a range that see no point."""
+    rows = np.empty(stop - start, np.int64)
+    n = 0
+    for row in range(start, stop):
+        if table.point[row] < 0 and table.is_static[row]:
+            rows[n] = row
+            n += 1
+    return rows[:n]
+
+
+@njit(nogil=True, cache=True)
+def _described(rows: I64, table: _Table) -> Described:
+    px = np.empty((len(rows), 2))
+    for i in range(len(rows)):
+        px[i, 0], px[i, 1] = table.px[rows[i], 0], table.px[rows[i], 1]
+    return Described(px, table.octave[rows], table.right_px[rows], table.words[rows])
+
+
+@njit(nogil=True, cache=True)
+def locate(
+    first: I64, second: I64, seen: _Seen, poses: tuple[F64, F64, F64, F64], intrinsics: tuple[float, ...]
+) -> tuple[F64, Bool]:
+    """Return where matched rows see their points (M, 3) [m, world], and whether that is known (M,); else it is 0.
+
+    Args:
+        first, second: The rows of each keyframe.
+        seen: All rows.
+        poses: T_world_cam (4, 4) of the two, and both the other way round.
+        intrinsics: fx, fy, cx, cy [px] and bf [px·m].
+    """
+    T_world_first, T_world_second, T_first_world, T_second_world = poses
+    ways = choose_ways(first, second, seen, T_world_first, T_world_second, intrinsics)
+    rays = np.flatnonzero(ways == BY_RAYS)
+    positions_m, good = np.zeros((len(first), 3)), np.zeros(len(first), np.bool_)
+    met_m = triangulate(
+        T_first_world, T_second_world, _rays(first[rays], seen, intrinsics), _rays(second[rays], seen, intrinsics)
+    )
+    for k in range(len(rays)):
+        positions_m[rays[k]] = met_m[k]
+    fx, fy, cx, cy, _ = intrinsics
+    for i in range(len(first)):
+        if ways[i] == BY_FIRST or ways[i] == BY_SECOND:
+            row, T = (first[i], T_world_first) if ways[i] == BY_FIRST else (second[i], T_world_second)
+            z = float(seen.depth_m[row])
+            x, y = (float(seen.px[row, 0]) - cx) / fx * z, (float(seen.px[row, 1]) - cy) / fy * z
+            positions_m[i, 0], positions_m[i, 1], positions_m[i, 2] = to_camera(T, x, y, z)
+        sum_m = positions_m[i, 0] + positions_m[i, 1] + positions_m[i, 2]
+        good[i] = ways[i] != BY_NOTHING and np.isfinite(sum_m)
+        if not good[i]:
+            positions_m[i] = 0.0
+    return positions_m, good
+
+
+@njit(nogil=True, cache=True)
+def _rays(rows: I64, seen: _Seen, intrinsics: tuple[float, ...]) -> F64:
+    """Return the normalised image coordinates (M, 2) of rows (M,)."""
+    fx, fy, cx, cy, _ = intrinsics
+    rays = np.empty((len(rows), 2))
+    for i in range(len(rows)):
+        rays[i, 0] = (float(seen.px[rows[i], 0]) - cx) / fx
+        rays[i, 1] = (float(seen.px[rows[i], 1]) - cy) / fy
+    return rays
 
 
 @njit(nogil=True, cache=True)

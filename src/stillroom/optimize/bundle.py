@@ -23,6 +23,7 @@ from stillroom.optimize.bundle_kernels import (
     linearize,
     move_cameras,
     move_points,
+    robust_cost,
     sort_observations,
 )
 from stillroom.optimize.depth_terms import MODELS, RIGHT, DepthTerms, depth_terms
@@ -131,11 +132,11 @@ class _Adjustment:
         self.T = np.array(problem.T_cam_world, dtype=np.float64).reshape(-1, 4, 4)
         self.points = np.array(problem.points_world_m, dtype=np.float64).reshape(-1, 3)
         self.T_trial, self.points_trial = self.T.copy(), self.points.copy()
-        terms = depth(
-            np.asarray(problem.observed_px, dtype=np.float64).reshape(-1, 3)[self.order],
-            np.asarray(problem.weights, dtype=np.float64).reshape(-1, 3)[self.order],
-            camera,
+        observed_px, weights = (
+            np.ascontiguousarray(array, dtype=np.float64).reshape(-1, 3).take(self.order, axis=0)
+            for array in (problem.observed_px, problem.weights)
         )
+        terms = depth(observed_px, weights, camera)
         self.weights = terms.weights
         n_observations, n_free = len(self.order), len(self.free)
         self.is_active = np.ones(n_observations, dtype=np.bool_)
@@ -167,6 +168,10 @@ class _Adjustment:
     def evaluate(self, T: F64, points: F64, deltas2: tuple[float, float]) -> float:
         """Return the robust cost of the active observations; leaves every observation's χ² in `chi2`."""
         return float(evaluate(T, points, self.seen, deltas2, self.chi2))
+
+    def cost(self, deltas2: tuple[float, float]) -> float:
+        """Return the same of the present `chi2`."""
+        return float(robust_cost(self.chi2, self.seen, deltas2))
 
     def linearize(self, deltas2: tuple[float, float]) -> None:
         """Set up the normal equations at the present estimate."""
@@ -217,11 +222,10 @@ class BundleAdjuster:
         work = _Adjustment(problem, camera, depth_terms(config.depth_model, config.right_sigma, camera))
         limits = (config.chi2_2d, config.chi2_3d)
         limit = np.where(work.weights[:, 2] > 0.0, config.chi2_3d, config.chi2_2d)
-        work.is_active[:] = False
         work.evaluate(work.T, work.points, limits)
         at_start = np.isfinite(work.chi2)
         work.is_active[:] = at_start
-        initial_cost = work.evaluate(work.T, work.points, limits)
+        initial_cost = work.cost(limits)
         n_iterations = self._minimize(work, config.iterations_first, limits, stop)
         work.evaluate(work.T, work.points, limits)
         work.is_active[:] = work.chi2 <= limit
@@ -235,11 +239,11 @@ class BundleAdjuster:
     def _minimize(
         self, work: _Adjustment, iterations: int, deltas2: tuple[float, float], stop: Callable[[], bool] | None
     ) -> int:
-        """Run Levenberg–Marquardt on the active observations; return how many steps were tried."""
+        """Run Levenberg–Marquardt on the active observations, whose χ² is known; return how many steps were tried."""
         if not work.is_active.any():
             return 0
         damping, growth = self.config.first_damping, 2.0
-        cost = work.evaluate(work.T, work.points, deltas2)
+        cost = work.cost(deltas2)
         stale = True
         for iteration in range(iterations):
             if stop is not None and stop():

@@ -104,17 +104,24 @@ def sort_observations(points: I64, slots: I64, n_points: int) -> tuple[I64, I64]
 @njit(nogil=True, cache=True)
 def evaluate(T: F64, points: F64, seen: Observations, deltas2: tuple[float, float], chi2: F64) -> float:
     """Write χ² (O,) of every observation; return the robust cost Σpρ of the active ones."""
-    starts, _, keyframes, observed, weights, p_static, is_active, intrinsics = seen
-    delta2_2d, delta2_3d = deltas2
-    cost = 0.0
+    starts, _, keyframes, observed, weights, _, _, intrinsics = seen
     for p in range(points.shape[0]):
         for o in range(starts[p], starts[p + 1]):
             x, y, z = to_camera(T[keyframes[o]], points[p, 0], points[p, 1], points[p, 2])
             chi2[o] = chi_square(x, y, z, observed[o], weights[o], intrinsics)
-            if is_active[o]:
-                seen = chi2[o] < np.inf
-                value = chi2[o] if seen else behind_chi_square(weights[o], intrinsics)
-                cost += p_static[o] * huber(value, delta2_3d if weights[o, 2] > 0.0 else delta2_2d)[0]
+    return robust_cost(chi2, seen, deltas2)
+
+
+@njit(nogil=True, cache=True)
+def robust_cost(chi2: F64, seen: Observations, deltas2: tuple[float, float]) -> float:
+    """Return the robust cost Σpρ of the active observations, whose χ² (O,) are given."""
+    _, _, _, _, weights, p_static, is_active, intrinsics = seen
+    delta2_2d, delta2_3d = deltas2
+    cost = 0.0
+    for o in range(len(chi2)):
+        if is_active[o]:
+            value = chi2[o] if chi2[o] < np.inf else behind_chi_square(weights[o], intrinsics)
+            cost += p_static[o] * huber(value, delta2_3d if weights[o, 2] > 0.0 else delta2_2d)[0]
     return cost
 
 

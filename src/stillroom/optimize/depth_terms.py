@@ -49,8 +49,10 @@ class RightCoordinate:
 
     def __call__(self, observed_px: F64, weights: F64, camera: Camera) -> Terms:
         """Return the observations as they are, with the weights of right coordinates."""
-        weighted = weights.copy()
-        weighted[:, 2] /= self._sigma**2
+        weighted = weights
+        if self._sigma != 1.0:
+            weighted = weights.copy()
+            weighted[:, 2] /= self._sigma**2
         return Terms(observed_px, weighted, intrinsics_of(camera))
 
 

@@ -49,6 +49,21 @@ def weights(octave: Ints, right_px: Floats, inverse_variances: Floats) -> F64:
     return weight
 
 
+@njit(nogil=True, cache=True)
+def of_keypoints(
+    chosen: Ints, px: Floats, octave: Ints, right_px: Floats, inverse_variances: Floats
+) -> tuple[F64, F64]:
+    """Return `observed_px` and `weights` of chosen keypoints (M,) of all (N,)."""
+    observed, weight = np.empty((len(chosen), 3)), np.empty((len(chosen), 3))
+    for i in range(len(chosen)):
+        k = chosen[i]
+        observed[i, 0], observed[i, 1], observed[i, 2] = px[k, 0], px[k, 1], max(right_px[k], 0.0)
+        weight[i, :] = inverse_variances[octave[k]]
+        if not right_px[k] >= 0:
+            weight[i, 2] = 0.0
+    return observed, weight
+
+
 def intrinsics_of(camera: Camera, share_of_u: float = 1.0) -> F64:
     """Return what the kernels take, (6,): fx, fy, cx, cy [px], bf [px·m], and the share of u in the third coordinate.
 

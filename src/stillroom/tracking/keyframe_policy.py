@@ -5,8 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from stillroom.bounds import bounded
+from stillroom.compiled import njit
 from stillroom.data.map import Map
 from stillroom.data.result import Recovery, Tracked, TrackingState
+from stillroom.geometry.arrays import F32, I32, Bool
 from stillroom.protocols import Parts
 
 
@@ -87,12 +89,24 @@ class KeyframePolicy:
         return self._since_keyframe + 1 >= config.min_gap and tracked.n_inliers < config.share * n_reference
 
     def _close_needed(self, tracked: Tracked) -> bool:
-        depth_m = tracked.frame.keypoints.depth_m
-        close = (depth_m > 0) & (depth_m < self.config.th_depth * tracked.frame.camera.baseline_m)
-        close &= tracked.is_static
-        n_tracked = int(np.count_nonzero(close & tracked.is_matched))
-        n_untracked = int(np.count_nonzero(close & ~tracked.is_matched))
+        frame = tracked.frame
+        close = self.config.th_depth * frame.camera.baseline_m
+        statics = frame.is_static, tracked.motion.is_static
+        n_tracked, n_untracked = count_close(frame.keypoints.depth_m, np.float32(close), *statics, tracked.point_ids)
         return n_tracked < self.config.min_tracked_close and n_untracked > self.config.max_untracked_close
+
+
+@njit(nogil=True, cache=True)
+def count_close(
+    depth_m: F32, close_m: np.float32, static_first: Bool, static_second: Bool, point_ids: I32
+) -> tuple[int, int]:
+    """Count the static keypoints (N,) nearer than `close_m` that see a point, and those that see none, −1."""
+    n_tracked, n_untracked = 0, 0
+    for i in range(len(depth_m)):
+        if 0 < depth_m[i] < close_m and static_first[i] and static_second[i]:
+            n_tracked += point_ids[i] >= 0
+            n_untracked += point_ids[i] < 0
+    return n_tracked, n_untracked
 
 
 def _begins(tracked: Tracked, world: Map) -> bool:

@@ -171,6 +171,11 @@ class DepthNoiseConfig:
         """Return how long after a frame its depth was taken [s], where that is to be corrected; else 0."""
         return frame.image.depth_after_s if self.in_time or frame.camera.depth_offset_s != 0.0 else 0.0
 
+    @property
+    def heeds_turn(self) -> bool:
+        """Whether it matters how fast the camera turns: depth may count otherwise than in ORB-SLAM2."""
+        return self.model != RIGHT or self.right_sigma != 1.0
+
     def terms(self, turn_rad_s: float, camera: Camera) -> DepthTerms:
         """Return how much depth counts while a camera turns [rad/s]."""
         if turn_rad_s > self.max_turn_rad_s:
@@ -327,9 +332,8 @@ def _rows_of(tracked: Tracked, matches: Matches, world: Map, limits: tuple[float
 def terms_of(frame: Frame, matches: Matches, depth: DepthTerms) -> Terms:
     """Return the terms of matched keypoints (M)."""
     kp = frame.keypoints
-    octave, right_px = kp.octave[matches.keypoint], kp.right_px[matches.keypoint]
-    observed_px = observations.observed_px(kp.px[matches.keypoint], right_px)
-    return depth(observed_px, observations.weights(octave, right_px, frame.scales.inverse_variances), frame.camera)
+    seen = observations.of_keypoints(matches.keypoint, kp.px, kp.octave, kp.right_px, frame.scales.inverse_variances)
+    return depth(*seen, frame.camera)
 
 
 def turn_rad_s(guess: F64, before: Before | None) -> float:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from stillroom.bounds import bounded
+from stillroom.compiled import njit
 from stillroom.data.frame import Frame
 from stillroom.data.map import Map
 from stillroom.data.matches import Matches
@@ -345,11 +346,9 @@ class Tracker:
         motion = self.sieve.judge(Question(Stage.LOCAL_MAP, frame, matches, semantics, fix.T_cam_world, world))
         matches = matches.keep(motion.is_static[matches.keypoint])
         refined = self._fix(frame, fix.T_cam_world, matches, motion, world)
-        world.points.n_visible[visible] += 1
-        world.points.n_visible[fix.point_ids[fix.point_ids >= 0]] += 1
-        inliers = refined.point_ids[refined.point_ids >= 0]
-        world.points.n_found[inliers] += 1
-        if len(inliers) < self._inliers_needed():
+        points = world.points
+        n_inliers = count_sights(visible, fix.point_ids, refined.point_ids, points.n_visible, points.n_found)
+        if n_inliers < self._inliers_needed():
             return _lost(frame, surroundings.reference, motion)
         tracked = Tracked(
             self.pose.at_mid_frame(frame, refined.velocity),
@@ -368,13 +367,33 @@ class Tracker:
         self, frame: Frame, guess: F64, matches: Matches, motion: Motion, world: Map, *, tells_turn: bool = True
     ) -> _Fix:
         """Optimise the pose over the matches and return it with its inliers; the guess may tell how fast it turns."""
-        turn = turn_rad_s(guess, self._last.before(frame, world) if tells_turn else None)
+        turn = np.inf
+        if tells_turn and self.config.depth.heeds_turn:
+            turn = turn_rad_s(guess, self._last.before(frame, world))
         depth = self.config.depth.terms(turn, frame.camera)
         fitted = self.pose.fit(frame, guess, matches, world.points.position_m, motion.p_static, depth)
         point_ids = np.full(len(frame), -1, dtype=np.int32)
         inlier = fitted.is_inlier
         point_ids[matches.keypoint[inlier]] = matches.point_id[inlier]
         return _Fix(fitted.T_cam_world, point_ids, motion, matches.point_id[~inlier], fitted.velocity)
+
+
+@njit(nogil=True, cache=True)
+def count_sights(visible: I32, seen: I32, found: I32, n_visible: I32, n_found: I32) -> int:
+    """Count points that should be visible (V,) or were seen (N,), and those that were found (N,); return how many were.
+
+    −1 is skipped. `n_visible` and `n_found` (P,) are those of the map.
+    """
+    for p in visible:
+        n_visible[p] += 1
+    n = 0
+    for i in range(len(seen)):
+        if seen[i] >= 0:
+            n_visible[seen[i]] += 1
+        if found[i] >= 0:
+            n_found[found[i]] += 1
+            n += 1
+    return n
 
 
 def _alive(keyframe: int, world: Map) -> int:

@@ -3,10 +3,10 @@
 import cv2
 import numpy as np
 import pytest
+from plain_epipolar import fundamental_from_motion
 
 from stillroom.geometry import se3
 from stillroom.geometry.camera import Camera
-from stillroom.geometry.epipolar import fundamental_from_motion
 from stillroom.geometry.two_views import motions
 
 K = Camera(640, 480, 542.8, 541.1, 315.6, 237.8).K

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 import pytest
+from plain_epipolar import fundamental_from_motion
 
 from stillroom.geometry import se3
 from stillroom.geometry.camera import Camera
-from stillroom.geometry.epipolar import fundamental_from_motion
 from stillroom.geometry.two_views.models import fit_both
 from stillroom.geometry.two_views.reconstruction import Refusal, TwoViewLimits, TwoViews, reconstruct, triangulated
 from stillroom.geometry.two_views.refinement import essential, refine, sampson2

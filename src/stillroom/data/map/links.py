@@ -124,6 +124,51 @@ def relink(old: I64, new: I64, links: Links, row_right_px: F32, counts: Counts, 
             row = following
 
 
+class Found(NamedTuple):
+    """How often each point (P,) should have been found and was, whether it is alive, and which point replaced it."""
+
+    n_visible: I32
+    n_found: I32
+    is_alive: Bool
+    replaced_by: I32
+
+
+@njit(nogil=True, cache=True)
+def replace(
+    old: I64, new: I64, links: Links, row_right_px: F32, counts: Counts, unsaved: Unsaved, found: Found
+) -> None:
+    """Move all that is known of old points (N,) to new ones (N,), none of which is an old one; the old ones die."""
+    relink(old, new, links, row_right_px, counts, unsaved)
+    for i in range(len(old)):
+        found.n_visible[new[i]] += found.n_visible[old[i]]
+        found.n_found[new[i]] += found.n_found[old[i]]
+        found.is_alive[old[i]] = False
+        found.replaced_by[old[i]] = new[i]
+
+
+@njit(nogil=True, cache=True)
+def join(
+    points: I32, rows: I64, links: Links, row_right_px: F32, counts: Counts, unsaved: Unsaved, found: Found
+) -> None:
+    """Let rows (N,) of a keyframe observe points (N,), which it does not see; or join these with those the rows see.
+
+    Of two points the one with more observations stays. No point and no row comes twice.
+    """
+    n = 0
+    other, old, new = np.empty(len(rows), np.int32), np.empty(len(rows), np.int64), np.empty(len(rows), np.int64)
+    for i in range(len(rows)):
+        other[i] = links.point[rows[i]]
+        if other[i] < 0:
+            unsaved.points[points[i]] = unsaved.keyframes[links.keyframe[rows[i]]] = True
+            link_one(points[i], rows[i], links, row_right_px, counts)
+    for i in range(len(rows)):
+        if other[i] >= 0:
+            weaker = counts.n_observations[points[i]] <= counts.n_observations[other[i]]
+            old[n], new[n] = (points[i], other[i]) if weaker else (other[i], points[i])
+            n += 1
+    replace(old[:n], new[:n], links, row_right_px, counts, unsaved, found)
+
+
 @njit(nogil=True, cache=True)
 def gather(points: I32, row_next: I32, first_row: I32, n_keyframes: I32) -> tuple[I32, I32]:
     """Return for all observations of the points: place in `points` (M,), row (M,); newest first within a point."""
@@ -155,6 +200,16 @@ def count_by_keyframe(points: I32, row_next: I32, first_row: I32, row_keyframe: 
             counts[row_keyframe[row]] += 1
             row = row_next[row]
     return counts
+
+
+@njit(nogil=True, cache=True)
+def current_ids(points: I32, is_alive: Bool, replaced_by: I32) -> I32:
+    """Return the points that replaced points (N,), which may be −1; −1 for those that were removed."""
+    ids = points.copy()
+    for i in range(len(ids)):
+        while ids[i] >= 0 and not is_alive[ids[i]]:
+            ids[i] = replaced_by[ids[i]]
+    return ids
 
 
 @njit(nogil=True, cache=True)

@@ -53,13 +53,13 @@ def collect(keyframes: I64, first_row: I64, n_rows: I64, row_point: I32, marks: 
 
 @njit(nogil=True, cache=True)
 def keep_others(point_ids: I32, excluded: I32, marks: I64, number: int, kept: I32) -> int:
-    """Write the points that are not excluded (−1 is skipped) into `kept`, in order; return how many."""
+    """Write the points that are not excluded into `kept`, in order; return how many. −1 is skipped in both."""
     for i in range(len(excluded)):
         if excluded[i] >= 0:
             marks[excluded[i]] = number
     n = 0
     for i in range(len(point_ids)):
-        if marks[point_ids[i]] != number:
+        if point_ids[i] >= 0 and marks[point_ids[i]] != number:
             kept[n] = point_ids[i]
             n += 1
     return n
@@ -255,7 +255,7 @@ class Map:
         return np.sort(found[:n])
 
     def without(self, point_ids: I32, excluded: I32) -> I32:
-        """Return those of points (P,) that are not among others (Q,), of which −1 is skipped, in their order."""
+        """Return those of points (P,) that are not among others (Q,), in their order; −1 is skipped in both."""
         kept = np.empty(len(point_ids), dtype=np.int32)
         n = keep_others(point_ids, excluded, *self._marks.fresh(len(self.points)), kept)
         return kept[:n]
@@ -281,15 +281,18 @@ class Map:
 
     def keyframe_pose(self, keyframe: int) -> F64:
         """Return `T_world_cam` (4, 4) of a keyframe as known now, alive or culled."""
-        T_kept_cam = np.eye(4)
+        table = self.keyframes
         with self.lock:
+            if table.is_alive[keyframe]:
+                return table.T_world_cam[keyframe].copy()
+            T_kept_cam = np.eye(4)
             # The first of a sub-map that was dropped has no parent.
-            while not self.keyframes.is_alive[keyframe] and self.keyframes.parent[keyframe] >= 0:
-                T_parent_cam = self.keyframes.T_parent_cam[keyframe].copy()
-                keyframe = int(self.keyframes.parent[keyframe])
-                T_parent_cam[:3, 3] *= self.keyframes.scale[keyframe]
+            while not table.is_alive[keyframe] and table.parent[keyframe] >= 0:
+                T_parent_cam = table.T_parent_cam[keyframe].copy()
+                keyframe = int(table.parent[keyframe])
+                T_parent_cam[:3, 3] *= table.scale[keyframe]
                 T_kept_cam = T_parent_cam @ T_kept_cam
-            pose: F64 = self.keyframes.T_world_cam[keyframe] @ T_kept_cam
+            pose: F64 = table.T_world_cam[keyframe] @ T_kept_cam
         return pose
 
     def noted_in(self, keyframe: int, T_world_cam: F64) -> F64:
@@ -324,13 +327,17 @@ class Map:
 
     # Points
 
-    def add_points(self, positions_m: F64, rows: Ints) -> I32:
-        """Add points (N, 3) [m, world], each seen by one row (N,) that sees nothing yet; return their ids."""
+    def add_points(self, positions_m: F64, rows: Ints, refresh: bool = True) -> I32:
+        """Add points (N, 3) [m, world], each seen by one row (N,) that sees nothing yet; return their ids.
+
+        Without `refresh` the caller refreshes them when they have more views.
+        """
         first_keyframe = self.keypoints.keyframe[rows]
         new = self.points.append(len(rows), position_m=positions_m, first_keyframe=first_keyframe)
         ids = np.arange(new.start, new.stop, dtype=np.int32)
         self.observe(ids, rows)
-        self.refresh(ids)
+        if refresh:
+            self.refresh(ids)
         return ids
 
     def observe(self, point_ids: Ints, rows: Ints) -> int:
@@ -357,22 +364,14 @@ class Map:
 
     def replace_points(self, old_ids: Ints, new_ids: Ints) -> None:
         """Move the observations of old points (N,) to new ones (N,), which are others; the old points are removed."""
-        points, old, new = self.points, np.asarray(old_ids, dtype=np.int64), np.asarray(new_ids, dtype=np.int64)
-        links.relink(old, new, self.lists, self.keypoints.right_px, self._counts, self._unsaved)
-        np.add.at(points.n_visible, new, points.n_visible[old])
-        np.add.at(points.n_found, new, points.n_found[old])
-        points.is_alive[old] = False
-        points.replaced_by[old] = new
+        old, new = np.asarray(old_ids, dtype=np.int64), np.asarray(new_ids, dtype=np.int64)
+        links.replace(old, new, *self.changeable)
 
     def current_ids(self, point_ids: I32) -> I32:
         """Return the ids that replaced points (N,); −1 for those that were removed."""
-        ids = point_ids.copy()
-        while True:
-            stale = np.flatnonzero(ids >= 0)
-            stale = stale[~self.points.is_alive[ids[stale]]]
-            if len(stale) == 0:
-                return ids
-            ids[stale] = self.points.replaced_by[ids[stale]]
+        points = self.points
+        ids: I32 = links.current_ids(np.asarray(point_ids, dtype=np.int32), points.is_alive, points.replaced_by)
+        return ids
 
     def observations(self, point_ids: Ints) -> tuple[I32, I32]:
         """Return all observations of points (N,): place in `point_ids` (M,) and keypoint row (M,)."""
@@ -413,6 +412,13 @@ class Map:
             self.scales.factors,
             links.Viewing(points.position_m, points.normal, points.min_distance_m, points.max_distance_m),
         )
+
+    @property
+    def changeable(self) -> tuple[links.Links, F32, links.Counts, links.Unsaved, links.Found]:
+        """What kernels take that join points; views are invalid after a table grows."""
+        points = self.points
+        found = links.Found(points.n_visible, points.n_found, points.is_alive, points.replaced_by)
+        return self.lists, self.keypoints.right_px, self._counts, self._unsaved, found
 
     @property
     def _counts(self) -> links.Counts:

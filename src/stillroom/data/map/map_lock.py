@@ -70,10 +70,10 @@ class MapLock:
 
     def _acquire(self, urgent: bool, between: bool = False) -> None:
         me = threading.get_ident()
+        if self._holder == me:  # which no other thread can make true or false
+            self._depth += 1
+            return
         with self._changed:
-            if self._holder == me:
-                self._depth += 1
-                return
             self._n_urgent += urgent
             try:
                 while self._is_kept_from(me, urgent, between):
@@ -88,8 +88,9 @@ class MapLock:
         return between and self._tracking not in (None, me)
 
     def _release(self) -> None:
-        with self._changed:
+        if self._depth > 1:  # only the holder changes it
             self._depth -= 1
-            if self._depth == 0:
-                self._holder = None
-                self._changed.notify_all()
+            return
+        with self._changed:
+            self._holder, self._depth = None, 0
+            self._changed.notify_all()

@@ -8,11 +8,15 @@ import cv2
 import numpy as np
 import onnx
 import pytest
+from building import parts
 
 from stillroom.data.image import RgbdImage
 from stillroom.errors import ConfigError, WeightsError
+from stillroom.geometry.camera import Camera
 from stillroom.semantics.detector import overlap, suppress
 from stillroom.semantics.onnx.darknet import DarknetFile
+from stillroom.semantics.onnx.layouts import DetectionRequest
+from stillroom.semantics.onnx.onnx_session import open_content
 from stillroom.semantics.yolo_fastest import SHIPPED, YoloFastestConfig
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "yolo_fastest_boxes.json"
@@ -70,6 +74,44 @@ def test_the_threshold_and_the_classes_are_obeyed(bonn):
     assert found(movable=("chair", "person"), confidence=0.7) == ["person", "chair"]
     assert found(confidence=0.99) == []
     assert found(movable=()) == []
+
+
+@pytest.mark.parametrize(
+    ("image_px", "longer_side", "input_px"),
+    [
+        ((640, 480), 0.9, (288, 224)),
+        ((640, 480), 1.0, (320, 256)),
+        ((480, 640), 0.9, (224, 288)),
+        ((1241, 376), 1.0, (320, 96)),
+        ((2000, 10), 1.0, (320, 32)),
+        ((640, 640), 1.0, (320, 320)),
+    ],
+)
+def test_the_input_has_the_proportions_of_the_image_in_whole_cells(image_px, longer_side, input_px):
+    file = DarknetFile(SHIPPED_FOLDER / SHIPPED["1.1"])
+    file.fit_input(image_px, longer_side)
+    session = open_content(file.cut_to([0]), file.path)
+    columns, rows = input_px
+    assert session.get_inputs()[0].shape == [1, 3, rows, columns]
+    outputs = session.run(None, {session.get_inputs()[0].name: np.zeros((1, 3, rows, columns), np.float32)})
+    assert [output.shape for output in outputs] == [
+        (1, 18, rows // 32, columns // 32),
+        (1, 18, rows // 16, columns // 16),
+    ]
+    assert file.layout(DetectionRequest(file.path, 1, [0], 0.5)).fits([output.shape for output in outputs])
+
+
+def test_boxes_lie_at_the_same_place_whatever_the_input(bonn):
+    """The square input is the one that is compared with independent runtimes above."""
+    answers = json.loads(GOLDEN.read_text())["answers"]
+    image = as_image(bonn.parent / answers[0]["picture"])
+    context = parts(Camera(image.width, image.height, 500.0, 500.0, 320.0, 240.0))
+    square = YoloFastestConfig().build_detector(0.8, context).detect(image)
+    for longer_side in (0.9, 1.0, 1.5):
+        found = YoloFastestConfig(longer_side=longer_side).build_detector(0.8, context).detect(image)
+        assert len(found) == len(square) > 0
+        iou = overlap(np.array([box.xyxy_px for box in found]), np.array([box.xyxy_px for box in square]))
+        assert iou.max(axis=1).min() > 0.8
 
 
 @pytest.mark.parametrize("shape", [(480, 640), (37, 21), (1, 1), (1080, 200)])

@@ -31,6 +31,9 @@ class YoloFastestConfig:
         movable: Names of the potentially dynamic classes, or "*" for all; the others are not reported.
         model: Another network, a file of `stillroom export yolo`; a bare name is looked up in the model folders.
             Empty is the variant that comes with Stillroom.
+        longer_side: Longer side of the network's input, as a share of that in its file; the other follows from the
+            proportions of the camera's images, and both are rounded to the cells of its coarsest head. 0: the input is
+            as the file has it, 320 × 320 in those that come with Stillroom, and images are stretched to it.
         carry: How boxes are propagated over the frames in which they are missed.
         sees: Which images the network sees: all "images", or "keyframes" only, whose boxes are not propagated
             (docs/reference.md#detect-slam).
@@ -41,6 +44,7 @@ class YoloFastestConfig:
     nms_iou: float = bounded(0.45, above=0, most=1)
     movable: tuple[str, ...] = ("person",)
     model: Path | None = None
+    longer_side: float = bounded(0.0, least=0)
     carry: CarryConfig = field(default_factory=CarryConfig)
     sees: str = bounded(IMAGES, one_of=SEES)
 
@@ -52,19 +56,21 @@ class YoloFastestConfig:
             WeightsError: The network's file is absent, damaged, or none of `stillroom export yolo`.
         """
         if self.sees == KEYFRAMES:
-            return KeyframeBoxes(self.build_detector(self.confidence))
+            return KeyframeBoxes(self.build_detector(self.confidence, parts))
         if not self.carry.enabled:
-            return EachFrameAlone(self.build_detector(self.confidence))
-        detector = self.build_detector(self.carry.lowest(self.confidence))
+            return EachFrameAlone(self.build_detector(self.confidence, parts))
+        detector = self.build_detector(self.carry.lowest(self.confidence), parts)
         return CarriedBoxes(detector, self.confidence, self.carry)
 
-    def build_detector(self, confidence: float) -> OnnxDetector:
-        """Return the bare detector, which reports boxes from a confidence on."""
+    def build_detector(self, confidence: float, parts: Parts | None = None) -> OnnxDetector:
+        """Return the bare detector, which reports boxes from a confidence on; without parts, of the file's input."""
         check(self)
         file = self._file()
+        if self.longer_side > 0 and parts is not None:
+            file.fit_input((parts.camera.width, parts.camera.height), self.longer_side)
         names = file.heads.classes if self.movable == EVERY_CLASS else self.movable
         chosen = [self._number(name, file) for name in names]
-        # The input is RGB in 0–255, stretched.
+        # The input is RGB in 0–255, stretched; a little only where its proportions are those of the images.
         network = DetectionNetwork(open_content(file.cut_to(chosen), file.path), file.path, DetectorInput())
         heads = file.layout(DetectionRequest(file.path, len(chosen), range(len(chosen)), confidence))
         return OnnxDetector(network, heads, names, self.nms_iou)

@@ -12,6 +12,9 @@ from stillroom.geometry.cloud.plane_fit import (
     middle_eigenvalue,
     parabola_sums,
     plane_misfits,
+    renumber,
+    solved,
+    straighten,
     unbend,
 )
 
@@ -54,6 +57,39 @@ def test_misfits_lose_their_parabola() -> None:
     bent = off.copy()
     unbend(layers, bent, parabola, 0.006)
     np.testing.assert_allclose(bent[known], (off - np.clip(terms @ parabola, -0.006, 0.006))[known], atol=1e-6)
+
+
+def test_what_a_wide_parabola_explains_is_subtracted() -> None:
+    layers, slope = layers_of(cloud().reshape(-1, 3)), np.array([-0.14, -0.01, 0.42])
+    off = plane_misfits(layers, slope)
+    near = np.abs(off) <= 0.002 + 0.004
+    x, y = layers[3:].astype(np.float64)
+    terms = np.stack((np.ones_like(x), x, y, x * x, x * y, y * y), axis=1)
+    parabola = np.linalg.solve(terms[near].T @ terms[near] + 1e-3 * np.eye(6), terms[near].T @ off[near])
+    assert np.abs(terms @ parabola).max() > 0.004, "the bound has an effect"
+    straight = off.copy()
+    straighten(layers, straight, 0.002, 0.004)
+    known = layers[2] > 0
+    np.testing.assert_allclose(straight[known], (off - np.clip(terms @ parabola, -0.004, 0.004))[known], atol=1e-6)
+
+    few = np.ascontiguousarray(layers[:, near][:, :150])
+    left = off[near][:150].copy()
+    straighten(few, left, 0.002, 0.004)
+    np.testing.assert_array_equal(left, off[near][:150])
+
+
+def test_normal_equations_are_solved_as_numpy_does() -> None:
+    rng = np.random.default_rng(0)
+    terms = rng.normal(size=(300, 6)) * [1.0, 0.5, 0.4, 0.2, 0.1, 0.02]
+    sums = np.hstack((terms.T @ terms, terms.T @ rng.normal(size=(300, 1))))
+    expected = np.linalg.solve(sums[:, :6] + 1e-3 * np.eye(6), sums[:, 6])
+    np.testing.assert_allclose(solved(sums), expected, rtol=1e-9)
+
+
+def test_planes_get_other_numbers_and_none_stays_none() -> None:
+    plane_of = np.array([0, -1, 2, 1, 0, -1], np.int16)
+    renumber(np.array([2, 0, 1]), plane_of)
+    np.testing.assert_array_equal(plane_of, [2, -1, 1, 0, 2, -1])
 
 
 @pytest.mark.parametrize("cell", [1, 5, 7])

@@ -12,7 +12,18 @@ from stillroom.data.semantics import Semantics
 from stillroom.datasets.open import open_dataset
 from stillroom.semantics.masks.carried_masks import LateMasks, MaskCarryConfig
 from stillroom.semantics.masks.mask_segments import HalfImage, MaskSegments
-from stillroom.semantics.masks.refine import RefineConfig, refined, window_means
+from stillroom.semantics.masks.refine import (
+    COMES,
+    FAR_M,
+    FEWEST,
+    GOES,
+    RefineConfig,
+    border_verdicts,
+    empty_sums,
+    means_along,
+    refined,
+    slide_to,
+)
 
 Share = tuple[float, float, float]
 
@@ -131,14 +142,58 @@ def test_means_in_windows_are_those_of_box_filters(window_px: int) -> None:
     depth_m = rng.uniform(0.5, 4.0, (60, 77)).astype(np.float32)
     which = rng.integers(-1, 2, depth_m.shape).astype(np.int8)
     mean_m, n_pixels = np.empty((2, 60, 77), np.float32), np.empty((2, 60, 77), np.int32)
-    window_means(depth_m, which, window_px, mean_m, n_pixels)
+    sums = empty_sums(77, window_px)
+    for y in range(60):
+        slide_to(y, depth_m, which, window_px, sums)
+        means_along(window_px, sums)
+        mean_m[:, y], n_pixels[:, y] = sums.mean_m, sums.n_pixels
     for kind in range(2):
-        of_kind = (which == kind).astype(np.float64)
-        size, outside = (window_px, window_px), cv2.BORDER_CONSTANT
-        count = cv2.boxFilter(of_kind, -1, size, normalize=False, borderType=outside)
-        total_m = cv2.boxFilter(of_kind * depth_m, -1, size, normalize=False, borderType=outside)
-        np.testing.assert_array_equal(n_pixels[kind], np.rint(count))
-        np.testing.assert_allclose(mean_m[kind], total_m / np.maximum(count, 1.0), atol=1e-5)
+        count, mean = box_means(depth_m, which == kind, window_px)
+        np.testing.assert_array_equal(n_pixels[kind], count)
+        np.testing.assert_allclose(mean_m[kind], mean, atol=1e-5)
+
+
+def box_means(depth_m: np.ndarray, chosen: np.ndarray, window_px: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return how many chosen pixels (h, w) are in the window around each, and the mean of their depths [m]."""
+    weight, size, outside = chosen.astype(np.float64), (window_px, window_px), cv2.BORDER_CONSTANT
+    count = np.rint(cv2.boxFilter(weight, -1, size, normalize=False, borderType=outside))
+    total_m = cv2.boxFilter(weight * depth_m, -1, size, normalize=False, borderType=outside)
+    return count, total_m / np.maximum(count, 1.0)
+
+
+def plain_verdicts(
+    depth_m: np.ndarray, mask: np.ndarray, inner: np.ndarray, outer: np.ndarray, window_px: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return what `border_verdicts` says as two masks (h, w)."""
+    known, config = depth_m > 0, RefineConfig()
+    kinds = [inner & known, outer & known & ~inner]
+    first = [box_means(depth_m, kind, window_px)[1] for kind in kinds]
+    off_m = [np.abs(depth_m - mean) for mean in first]
+    near = [kind & (off < FAR_M) for kind, off in zip(kinds, off_m, strict=True)]
+    (n_body, body_m), (n_ground, ground_m) = (box_means(depth_m, kind, window_px) for kind in near)
+    to_body, to_ground = np.abs(depth_m - body_m), np.abs(depth_m - ground_m)
+    in_band, has_ground = known & (n_body >= FEWEST) & ~inner & ~outer, n_ground >= FEWEST
+    goes = in_band & mask & (to_body > config.jump_m) & has_ground & (2.0 * to_ground < to_body)
+    comes = in_band & ~mask & (to_body < config.near_m) & (~has_ground | (to_ground > config.jump_m))
+    return goes, comes
+
+
+@pytest.mark.parametrize("window_px", [15, 24])
+def test_verdicts_on_a_border_are_those_of_plain_array_operations(window_px: int) -> None:
+    rng = np.random.default_rng(window_px)
+    column, row = np.meshgrid(np.arange(90), np.arange(70))
+    edge = np.where(row % 20 < 10, 42, 48)
+    depth_m = np.where(column < edge, 1.5, 2.4) + rng.choice([0.0, 0.2, 0.5], edge.shape)
+    depth_m += rng.normal(0.0, 0.02, edge.shape)
+    depth_m = np.where(rng.random(edge.shape) < 0.1, 0.0, depth_m).astype(np.float32)
+    mask, inner, outer = column < 45, column < 40, column > 46
+    limits = np.float32(RefineConfig().jump_m), np.float32(RefineConfig().near_m)
+    found = border_verdicts(depth_m, mask, inner, outer, window_px, *limits)
+    goes, comes = plain_verdicts(depth_m, mask, inner, outer, window_px)
+    assert goes.any()
+    assert comes.any()
+    np.testing.assert_array_equal(found == GOES, goes)
+    np.testing.assert_array_equal(found == COMES, comes)
 
 
 def test_where_depth_does_not_jump_or_is_unknown_the_network_has_the_last_word() -> None:

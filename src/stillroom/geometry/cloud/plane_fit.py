@@ -11,10 +11,12 @@ import math
 import numpy as np
 
 from stillroom.compiled import njit
-from stillroom.geometry.arrays import F32, F64, I16, I32, U8, U16
+from stillroom.geometry.arrays import F32, F64, I16, I32, I64, U8, U16
 
 N_TERMS = 6
 """1, x, y, x², x·y, y²: a parabola over the rays."""
+MIN_BEND_SAMPLES = 200
+RIDGE = 1e-3
 BLOCK = 256
 """Samples that are summed at once."""
 N_SUMS = 10
@@ -92,6 +94,43 @@ def add_products(block: F64, sums: F64) -> None:
             s4, s5, s6 = s4 + t * block[i, 4], s5 + t * block[i, 5], s6 + t * block[i, 6]
         sums[k, 0], sums[k, 1], sums[k, 2], sums[k, 3] = s0, s1, s2, s3
         sums[k, 4], sums[k, 5], sums[k, 6] = s4, s5, s6
+
+
+@njit(nogil=True, cache=True)
+def straighten(layers: F32, off: F32, tolerance: float, max_bend: float) -> None:
+    """Subtract from misfits what a parabola explains of the small ones, where there are enough of them.
+
+    Args:
+        layers: Samples (5, N) [m].
+        off: Their misfits (N,) [1/m], infinite where unknown; changed.
+        tolerance: Largest misfit of a sample on a plane [1/m].
+        max_bend: Largest value of the parabola [1/m]; also what may come on top of the tolerance.
+    """
+    sums, n = parabola_sums(layers, off, tolerance + max_bend)
+    if n >= MIN_BEND_SAMPLES:
+        unbend(layers, off, solved(sums), max_bend)
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def solved(sums: F64) -> F64:
+    """Return the parabola (6,) of normal equations (6, 7), by elimination; see `parabola_sums`.
+
+    A ridge keeps it flat where the samples do not determine it, and the pivots above 0.
+    """
+    a, terms = sums.copy(), np.empty(N_TERMS)
+    for k in range(N_TERMS):
+        a[k, k] += RIDGE
+    for k in range(N_TERMS):
+        for i in range(k + 1, N_TERMS):
+            share = a[i, k] / a[k, k]
+            for j in range(k, N_TERMS + 1):
+                a[i, j] -= share * a[k, j]
+    for k in range(N_TERMS - 1, -1, -1):
+        left = a[k, N_TERMS]
+        for j in range(k + 1, N_TERMS):
+            left -= a[k, j] * terms[j]
+        terms[k] = left / a[k, k]
+    return terms
 
 
 @njit(nogil=True, cache=True)
@@ -201,6 +240,14 @@ def middle_eigenvalue(xx: float, xy: float, xz: float, yy: float, yz: float, zz:
     third = math.acos(min(max(0.5 * determinant / spread**3, -1.0), 1.0)) / 3.0
     largest, smallest = math.cos(third), math.cos(third + 2.0 * math.pi / 3.0)
     return mean - 2.0 * spread * (largest + smallest)
+
+
+@njit(nogil=True, cache=True)
+def renumber(number_of: I64, plane_of: I16) -> None:
+    """Give the planes of samples (N,) other numbers (Q,); −1, no plane, stays."""
+    for i in range(len(plane_of)):
+        if plane_of[i] >= 0:
+            plane_of[i] = number_of[plane_of[i]]
 
 
 # Cells of samples, and regions of cells.

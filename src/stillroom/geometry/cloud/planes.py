@@ -10,7 +10,6 @@ from stillroom.bounds import bounded
 from stillroom.geometry.arrays import F32, F64, I16, I32, U8, U16
 from stillroom.geometry.cloud.continuation import Reach, continue_planes, give_samples, planes_of_cells
 from stillroom.geometry.cloud.plane_fit import (
-    N_TERMS,
     cell_misfits,
     cell_sums,
     extent,
@@ -20,17 +19,15 @@ from stillroom.geometry.cloud.plane_fit import (
     mark_near,
     mark_on,
     merge_regions,
-    parabola_sums,
     plane_misfits,
+    renumber,
     share_beyond,
-    unbend,
+    straighten,
 )
 
 NO_PLANE = -1
 MERGE = 1.5  # times the misfit of one region: two of them on a wall that the camera distorts
 GROWN_SHARE = 0.4  # of a plane's area, at least, is whole cells of it
-MIN_BEND_SAMPLES = 200
-RIDGE = 1e-3
 MIN_CELLS = 5
 N_PIECES = 3  # of a plane that are examined, largest first
 
@@ -157,11 +154,7 @@ def _misfits(layers: F32, slope: F64, limits: PlaneLimits) -> F32:
     A depth camera distorts walls, most towards the corners of the image; no person is flat enough to be affected.
     """
     off = plane_misfits(layers, slope)
-    sums, n = parabola_sums(layers, off, limits.tolerance + limits.max_bend)
-    if n >= MIN_BEND_SAMPLES:
-        # The ridge keeps the parabola flat where the samples do not determine it.
-        parabola = np.linalg.solve(sums[:, :N_TERMS] + RIDGE * np.eye(N_TERMS), sums[:, N_TERMS])
-        unbend(layers, off, parabola, limits.max_bend)
+    straighten(layers, off, limits.tolerance, limits.max_bend)
     return np.asarray(off, dtype=np.float32)
 
 
@@ -216,5 +209,5 @@ def _sorted(kept: list[tuple[F64, float]], plane_of: I16) -> Planes:
     # (a, b, c)·p = 1; turned round, the origin is on the positive side.
     coefficients = np.hstack((-slopes, np.ones_like(norm))) / norm
     if not np.array_equal(order, np.arange(len(kept))):
-        plane_of = np.append(np.argsort(order), NO_PLANE).astype(np.int16)[plane_of]
+        renumber(np.argsort(order), plane_of.ravel())
     return Planes(coefficients[order].astype(np.float32), area_m2[order], plane_of)

@@ -32,9 +32,12 @@ class HalfImage:
     def of(image: Image) -> "HalfImage":
         """Return an image at half its size; a last odd row or column is left out."""
         rows, columns = max(image.height // 2, 1), max(image.width // 2, 1)
-        gray = cv2.resize(image.gray[: 2 * rows, : 2 * columns], (columns, rows), interpolation=cv2.INTER_AREA)
+        if min(image.height, image.width) > 1:
+            gray = image.shrunk(2)
+        else:
+            gray = np.asarray(cv2.resize(image.gray, (columns, rows), interpolation=cv2.INTER_AREA), dtype=np.uint8)
         depth_m = np.ascontiguousarray(image.known_depth_m[::2, ::2][:rows, :columns])
-        return HalfImage(image.index, np.asarray(gray, dtype=np.uint8), depth_m)
+        return HalfImage(image.index, gray, depth_m)
 
     @property
     def shape(self) -> tuple[int, int]:

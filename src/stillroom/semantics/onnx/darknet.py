@@ -93,12 +93,28 @@ class DarknetFile:
             raise WeightsError(
                 f"{path}: not written by 'stillroom export yolo'; other networks plug in as semantics.kind=onnx-boxes"
             ) from error
-        shapes = [self._shape(value) for value in (*self._model.graph.input, *self._model.graph.output)]
-        self._input_shape, self._output_shapes = shapes[0], shapes[1:]
+        self._read_shapes()
         width = BOX_ROWS + len(self.heads.classes)
         promised = [len(head.anchors_px) * width for head in self.heads.heads]
         if [shape[1] for shape in self._output_shapes] != promised:
             raise WeightsError(f"{path}: damaged: its outputs {self._output_shapes} are not those of its heads")
+
+    def fit_input(self, image_px: tuple[int, int], longer_side: float) -> None:
+        """Give the input the proportions of an image, as nearly as whole cells of the coarsest head allow.
+
+        A square input stretches an image of 4:3, and costs a third more than one that does not.
+
+        Args:
+            image_px: Width and height of the images.
+            longer_side: Longer side of the input as a share of its present one; both are rounded to whole cells.
+        """
+        scale = longer_side * max(self._input_shape[2:]) / max(image_px)
+        rows, columns = (max(round(side * scale / self._cell_px), 1) * self._cell_px for side in image_px[::-1])
+        graph = self._model.graph
+        for value, cell_px in zip((*graph.input, *graph.output), (1, *self._cells_px), strict=True):
+            _, _, height, width = value.type.tensor_type.shape.dim
+            height.dim_value, width.dim_value = rows // cell_px, columns // cell_px
+        self._read_shapes()
 
     def cut_to(self, classes: Sequence[int]) -> bytes:
         """Return the ONNX model reduced to some classes, in their order.
@@ -134,6 +150,13 @@ class DarknetFile:
             asked: The wanted classes; `n_classes` of them after it was cut.
         """
         return DarknetHeads(self.heads, self._input_shape, self._output_shapes, asked)
+
+    def _read_shapes(self) -> None:
+        """Read the shapes of input and outputs, and how many pixels of the input each head's cells measure."""
+        shapes = [self._shape(value) for value in (*self._model.graph.input, *self._model.graph.output)]
+        self._input_shape, self._output_shapes = shapes[0], shapes[1:]
+        self._cells_px = [self._input_shape[2] // shape[2] for shape in self._output_shapes]
+        self._cell_px = max(self._cells_px)
 
     def _shape(self, value: Any) -> tuple[int, ...]:
         shape = tuple(side.dim_value for side in value.type.tensor_type.shape.dim)

@@ -67,6 +67,9 @@ class Fit:
             if self.content_px != self.input_px:
                 plane.fill((BORDER_GRAY - mean) / std)
             window = plane[y : y + rows, x : x + columns]
+            if colors.are_raw:
+                window[...] = color
+                continue
             np.subtract(color, np.float32(mean), out=window)
             window /= np.float32(std)
 

@@ -168,7 +168,8 @@ def find_in_windows(wanted: Wanted, there: TargetArrays, max_bits: int, ratio: f
     """Do what `search_windows` tells."""
     grid = build_grid(there.px, there.octave, there.usable)
     target, bits = _search_windows(wanted, there, grid, max_bits, ratio)
-    return keep_nearest(target, bits, len(there.px))
+    query, nearest = keep_nearest(target, bits, len(there.px))
+    return query, nearest
 
 
 @njit(nogil=True, cache=True)
@@ -355,7 +356,8 @@ def steady_turns(first_rad: Floats, second_rad: Floats) -> Bool:
     for i in range(len(first_rad)):
         # Rounded, so that the middle of a bin, not a border, lies at no rotation, the most common case.
         bins[i] = int(np.rint(((first_rad[i] - second_rad[i]) % whole) * per_rad)) % _HISTOGRAM_BINS
-    return _in_common_bins(bins)
+    steady: Bool = _in_common_bins(bins)
+    return steady
 
 
 @njit(nogil=True, cache=True)

@@ -46,8 +46,8 @@ def _shortest_direction(A: F64, V: F64) -> int:
     """
     n = A.shape[0]
     V[:] = 0.0
-    for c in range(n):
-        V[c, c] = 1.0
+    for k in range(n):
+        V[k, k] = 1.0
     for _ in range(_MAX_SWEEPS):
         turned = False
         for p in range(n - 1):
@@ -70,12 +70,12 @@ def _shortest_direction(A: F64, V: F64) -> int:
         if not turned:
             break
     last, shortest = 0, np.inf
-    for c in range(n):
+    for k in range(n):
         length2 = 0.0
         for r in range(n):
-            length2 += A[r, c] * A[r, c]
+            length2 += A[r, k] * A[r, k]
         if length2 < shortest:
-            last, shortest = c, length2
+            last, shortest = k, length2
     return last
 
 

@@ -109,7 +109,8 @@ def evaluate(T: F64, points: F64, seen: Observations, deltas2: tuple[float, floa
         for o in range(starts[p], starts[p + 1]):
             x, y, z = to_camera(T[keyframes[o]], points[p, 0], points[p, 1], points[p, 2])
             chi2[o] = chi_square(x, y, z, observed[o], weights[o], intrinsics)
-    return robust_cost(chi2, seen, deltas2)
+    cost: float = robust_cost(chi2, seen, deltas2)
+    return cost
 
 
 @njit(nogil=True, cache=True)

@@ -92,6 +92,8 @@ class KeyframePolicy:
         frame = tracked.frame
         close = self.config.th_depth * frame.camera.baseline_m
         statics = frame.is_static, tracked.motion.is_static
+        n_tracked: int
+        n_untracked: int
         n_tracked, n_untracked = count_close(frame.keypoints.depth_m, np.float32(close), *statics, tracked.point_ids)
         return n_tracked < self.config.min_tracked_close and n_untracked > self.config.max_untracked_close
 

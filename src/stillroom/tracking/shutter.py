@@ -332,8 +332,10 @@ def _rows_of(tracked: Tracked, matches: Matches, world: Map, limits: tuple[float
 def terms_of(frame: Frame, matches: Matches, depth: DepthTerms) -> Terms:
     """Return the terms of matched keypoints (M)."""
     kp = frame.keypoints
-    seen = observations.of_keypoints(matches.keypoint, kp.px, kp.octave, kp.right_px, frame.scales.inverse_variances)
-    return depth(*seen, frame.camera)
+    observed_px, weights = observations.of_keypoints(
+        matches.keypoint, kp.px, kp.octave, kp.right_px, frame.scales.inverse_variances
+    )
+    return depth(observed_px, weights, frame.camera)
 
 
 def turn_rad_s(guess: F64, before: Before | None) -> float:

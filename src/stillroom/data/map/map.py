@@ -283,17 +283,16 @@ class Map:
         """Return `T_world_cam` (4, 4) of a keyframe as known now, alive or culled."""
         table = self.keyframes
         with self.lock:
-            if table.is_alive[keyframe]:
-                return table.T_world_cam[keyframe].copy()
-            T_kept_cam = np.eye(4)
+            alive = keyframe
+            T_kept_cam: F64 | None = None
             # The first of a sub-map that was dropped has no parent.
-            while not table.is_alive[keyframe] and table.parent[keyframe] >= 0:
-                T_parent_cam = table.T_parent_cam[keyframe].copy()
-                keyframe = int(table.parent[keyframe])
-                T_parent_cam[:3, 3] *= table.scale[keyframe]
-                T_kept_cam = T_parent_cam @ T_kept_cam
-            pose: F64 = table.T_world_cam[keyframe] @ T_kept_cam
-        return pose
+            while not table.is_alive[alive] and table.parent[alive] >= 0:
+                T_parent_cam = table.T_parent_cam[alive].copy()
+                alive = int(table.parent[alive])
+                T_parent_cam[:3, 3] *= table.scale[alive]
+                T_kept_cam = T_parent_cam if T_kept_cam is None else T_parent_cam @ T_kept_cam
+            T_world_alive: F64 = table.T_world_cam[alive].copy()
+        return T_world_alive if T_kept_cam is None else T_world_alive @ T_kept_cam
 
     def noted_in(self, keyframe: int, T_world_cam: F64) -> F64:
         """Return a pose (4, 4) relative to a keyframe, to be kept: in lengths as they were when that was added."""

@@ -208,6 +208,5 @@ def _sorted(kept: list[tuple[F64, float]], plane_of: I16) -> Planes:
     norm = np.linalg.norm(slopes, axis=1, keepdims=True)
     # (a, b, c)·p = 1; turned round, the origin is on the positive side.
     coefficients = np.hstack((-slopes, np.ones_like(norm))) / norm
-    if not np.array_equal(order, np.arange(len(kept))):
-        renumber(np.argsort(order), plane_of.ravel())
+    renumber(np.argsort(order), plane_of.ravel())
     return Planes(coefficients[order].astype(np.float32), area_m2[order], plane_of)

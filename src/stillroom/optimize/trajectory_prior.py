@@ -16,7 +16,6 @@ from stillroom.optimize.trajectory_kernels import Prior, follow, move_pieces
 
 STEP_S = 1.0 / 30.0
 """The frame rate at which the standard deviations are given."""
-LEAST_POSES = 4
 LONGEST_STEP_S = 0.25
 """Over a longer gap, such as while tracking was lost, nothing is known of the motion."""
 FASTEST_M_S = 5.0

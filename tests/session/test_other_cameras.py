@@ -9,6 +9,7 @@ import pytest
 
 import stillroom as sr
 from stillroom.data.frame import ScaleLevels
+from stillroom.protocols import Dataset
 
 ROOM = "synthetic:empty,frames=40,path=halfsphere"
 
@@ -69,7 +70,7 @@ def mapped(images: list[sr.Image], camera: sr.Camera, other: Other, path: Path) 
     return path
 
 
-def visited(sequence: sr.Dataset, images: list[sr.Image], path: Path, other: Other, sensor: str = "rgbd") -> Visit:
+def visited(sequence: Dataset, images: list[sr.Image], path: Path, other: Other, sensor: str = "rgbd") -> Visit:
     """What another finds in it by the images between."""
     before = path.read_bytes()
     camera = other.camera(sequence.camera)
@@ -87,19 +88,19 @@ def visited(sequence: sr.Dataset, images: list[sr.Image], path: Path, other: Oth
 
 
 @pytest.fixture(scope="module")
-def desk(freiburg1_xyz: Path) -> tuple[sr.Dataset, list[sr.Image]]:
+def desk(freiburg1_xyz: Path) -> tuple[Dataset, list[sr.Image]]:
     sequence = sr.open_dataset(str(freiburg1_xyz))
     return sequence, list(sequence)
 
 
 @pytest.fixture(scope="module")
-def desk_map(desk: tuple[sr.Dataset, list[sr.Image]], tmp_path_factory: pytest.TempPathFactory) -> Path:
+def desk_map(desk: tuple[Dataset, list[sr.Image]], tmp_path_factory: pytest.TempPathFactory) -> Path:
     sequence, images = desk
     return mapped(images, sequence.camera, SAME, tmp_path_factory.mktemp("desk") / "whole.stillmap")
 
 
 @pytest.fixture(scope="module")
-def narrow_map(desk: tuple[sr.Dataset, list[sr.Image]], tmp_path_factory: pytest.TempPathFactory) -> Path:
+def narrow_map(desk: tuple[Dataset, list[sr.Image]], tmp_path_factory: pytest.TempPathFactory) -> Path:
     sequence, images = desk
     return mapped(images, sequence.camera, Other(0.5, 640), tmp_path_factory.mktemp("desk") / "narrow.stillmap")
 
@@ -116,7 +117,7 @@ def narrow_map(desk: tuple[sr.Dataset, list[sr.Image]], tmp_path_factory: pytest
     ],
 )
 def test_a_metric_map_knows_the_place_of_another_camera(
-    other: Other, sensor: str, desk: tuple[sr.Dataset, list[sr.Image]], desk_map: Path
+    other: Other, sensor: str, desk: tuple[Dataset, list[sr.Image]], desk_map: Path
 ) -> None:
     found = visited(*desk, desk_map, other, sensor)
     assert found.share_tracked == 1.0
@@ -126,7 +127,7 @@ def test_a_metric_map_knows_the_place_of_another_camera(
 
 @pytest.mark.parametrize("sensor", ["rgbd", "monocular"])
 def test_a_wide_camera_is_localized_in_the_map_of_a_narrow_one(
-    sensor: str, desk: tuple[sr.Dataset, list[sr.Image]], narrow_map: Path
+    sensor: str, desk: tuple[Dataset, list[sr.Image]], narrow_map: Path
 ) -> None:
     found = visited(*desk, narrow_map, SAME, sensor)
     assert found.share_tracked == 1.0
@@ -134,7 +135,7 @@ def test_a_wide_camera_is_localized_in_the_map_of_a_narrow_one(
 
 
 def test_points_are_searched_on_the_levels_where_the_other_camera_sees_them(
-    desk: tuple[sr.Dataset, list[sr.Image]], desk_map: Path, monkeypatch: pytest.MonkeyPatch
+    desk: tuple[Dataset, list[sr.Image]], desk_map: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With a focal length twice as long, by the levels of the map's own camera fewer are found."""
     narrow = Other(0.5, 640)

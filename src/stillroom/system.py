@@ -406,7 +406,7 @@ def _features(config: SlamConfig, parts: Parts) -> FeatureExtractor:
     if parts.sensor.is_metric:
         return features.build(parts, depth)
     many = features.many(config.monocular.features_before_map)
-    return UntilMap(many.build(parts, depth), features.build(parts, depth), parts.world, config.monocular.young_s)
+    return UntilMap(many.build(parts, depth), features.build(parts, depth), parts.world)
 
 
 def _keypoint_depth(config: SlamConfig, parts: Parts) -> KeypointDepth:

@@ -144,29 +144,15 @@ class OrbConfig:
 
 
 class UntilMap:
-    """Finds keypoints by one extractor until there is a map that is not young, then by another.
+    """Finds keypoints by one extractor until there is a map, then by another: a single camera begins with more."""
 
-    A single camera begins with more keypoints. Differs from ORB-SLAM2, which takes fewer from the second image on:
-    half of the first points are then not found again, and where the camera moves slowly new ones come late.
-    """
-
-    def __init__(self, before: "OrbExtractor", after: "OrbExtractor", world: Map, young_s: float) -> None:
-        """Store both, the map, and how long it is young [s]; keyframes of earlier runs are not."""
-        self._before, self._after, self._world, self._young_s = before, after, world, young_s
-        self._first_keyframe = len(world.keyframes)
+    def __init__(self, before: "OrbExtractor", after: "OrbExtractor", world: Map) -> None:
+        """Store both, and the map."""
+        self._before, self._after, self._world = before, after, world
 
     def extract(self, image: Image) -> Frame:
         """Return the frame of the image."""
-        return (self._before if self._is_young(image.timestamp_s) else self._after).extract(image)
-
-    def _is_young(self, time_s: float) -> bool:
-        """Return whether the newest sub-map was begun less than that before a time [s], or there is no map."""
-        if self._world.is_empty:
-            return True
-        submap = self._world.keyframes.submap
-        first = int(np.argmax(submap == submap[-1]))
-        began_s = float(self._world.keyframes.timestamp_s[first])
-        return first >= self._first_keyframe and time_s - began_s < self._young_s
+        return (self._before if self._world.is_empty else self._after).extract(image)
 
 
 class OrbExtractor:

@@ -39,7 +39,7 @@ class MonocularConfig:
     """What is done otherwise with a single camera (ORB-SLAM2's numbers; docs/reference.md#orb-slam2-monocular).
 
     Attributes:
-        features_before_map: Factor on `features.n_features` until there is a map, and while it is young.
+        features_before_map: Factor on `features.n_features` until there is a map.
         min_matches: Fewest matches with the first image; with fewer, the present image takes its place.
         window_px: Around where a keypoint was last matched, how far it is searched.
         ratio: Ratio test of those matches.
@@ -49,7 +49,7 @@ class MonocularConfig:
             a camera that reads its rows one after the other fakes as much when it turns unevenly.
         min_points: Fewest points of a first map.
         start_again: A map that is lost with no more keyframes than this is dropped, and another begun.
-        young_s: For so long a map is young. One that is lost meanwhile …
+        young_s: A map that is lost within so long of its beginning …
         young_patience: … is dropped too, once so many images that have enough keypoints are not recognised; 0: never.
         share: A keyframe is due when fewer than this share of the reference keyframe's points is tracked.
         min_gap: Frames between keyframes, at least.

@@ -102,7 +102,7 @@ class DarknetFile:
     def fit_input(self, image_px: tuple[int, int], longer_side: float) -> None:
         """Give the input the proportions of an image, as nearly as whole cells of the coarsest head allow.
 
-        A square input stretches an image of 4:3, and costs a third more than one that does not.
+        A square input stretches an image of 4:3, and costs more than one that does not.
 
         Args:
             image_px: Width and height of the images.
@@ -156,7 +156,7 @@ class DarknetFile:
         shapes = [self._shape(value) for value in (*self._model.graph.input, *self._model.graph.output)]
         self._input_shape, self._output_shapes = shapes[0], shapes[1:]
         self._cells_px = [self._input_shape[2] // shape[2] for shape in self._output_shapes]
-        self._cell_px = max(self._cells_px)
+        self._cell_px = max(self._cells_px, default=1)
 
     def _shape(self, value: Any) -> tuple[int, ...]:
         shape = tuple(side.dim_value for side in value.type.tensor_type.shape.dim)

@@ -127,7 +127,7 @@ def test_a_method_with_a_trajectory_prior_writes_what_it_knows_five_frames_later
     for earlier, file in ((by_scale.online, "trajectory_online.tum"), (by_scale.lagged, "trajectory_lag5.tum")):
         expected = ate(read_tum(folder / file), dataset.groundtruth)
         assert earlier.ate_m == pytest.approx(expected.sim3_m.rmse)
-        assert earlier.ate_m < 0.2 * expected.se3_m.rmse
+        assert earlier.ate_m < 0.6 * expected.se3_m.rmse
 
 
 def test_a_last_look_is_better_than_the_first_and_is_counted(tmp_path: Path) -> None:

@@ -49,12 +49,13 @@ class ScaleLevels:
         finest_px: Size of a pixel of the finest level in the image [px]; see `finest_px`. Windows, tolerances and the
             noise of keypoints are in pixels of levels, so all of them grow with it.
         focal_px: Focal length in pixels of the finest level: how large what is one away is seen there; 0 where unknown.
+            It is the camera's: pyramids are equal without it.
     """
 
     factor: float = 1.2
     count: int = 8
     finest_px: float = 1.0
-    focal_px: float = 0.0
+    focal_px: float = field(default=0.0, compare=False)
 
     @classmethod
     def of(cls, camera: Camera, sensor: Sensor, factor: float, count: int) -> "ScaleLevels":

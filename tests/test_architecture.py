@@ -12,6 +12,7 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+from longest_first import LONGEST_FIRST
 
 SOURCE = Path(__file__).parents[1] / "src"
 
@@ -398,6 +399,10 @@ def clocks_read(folder: Path) -> list[str]:
         and node.func.attr.removesuffix("_ns") in CLOCKS
         and ast.unparse(node.func.value) == "time"
     ]
+
+
+def test_files_that_are_begun_first_are_there() -> None:
+    assert [name for name in LONGEST_FIRST if not (Path(__file__).parent / name).is_file()] == []
 
 
 def test_no_test_reads_a_clock() -> None:

@@ -49,8 +49,8 @@ from stillroom.tracking.flow_tracking import FlowTracking, OrbAlways
 from stillroom.tracking.keyframe_policy import KeyframePolicy
 from stillroom.tracking.last_look import LastLook, NoLastLook
 from stillroom.tracking.relocalizer import Relocalizer
+from stillroom.tracking.reported_poses import OwnPoses, ReportedPoses, reported_poses
 from stillroom.tracking.start import DepthStart, Start
-from stillroom.tracking.told_poses import OwnPoses, ToldPoses, told_poses
 from stillroom.tracking.tracker import Tracker
 from stillroom.viz.no_observer import NoObserver
 
@@ -79,7 +79,7 @@ class System:
     keeper: MapKeeping
     map: Map
     observer: RunObserver
-    told: ToldPoses | OwnPoses
+    reported: ReportedPoses | OwnPoses
     last_look: LastLook | NoLastLook
     results: list[FrameSummary] = field(default_factory=list)
     first_keyframe: int = 0
@@ -135,7 +135,7 @@ class System:
             n_agreeing=0,
         )  # fmt: skip
         self.n_repeated += 1
-        self.told.repeat(repeated, self.results)
+        self.reported.repeat(repeated, self.results)
         self.results.append(repeated.summary)
         self.last_look.repeat()
         self.keeper.note(repeated.summary)
@@ -149,7 +149,7 @@ class System:
         placed = self._in_main()
         poses = [self._pose_now(result) for result in placed]
         own = self._as_trajectory([result.timestamp_s for result in placed], poses)
-        return self.told.in_the_end(own, [result.n_agreeing_finally for result in placed])
+        return self.reported.in_the_end(own, [result.n_agreeing_finally for result in placed])
 
     def online_trajectory(self) -> Trajectory:
         """Return the poses as `process` returned them, of frames that were in the main sub-map at that moment."""
@@ -159,7 +159,7 @@ class System:
 
     def lagged_trajectory(self) -> Trajectory | None:
         """Return the online poses each as settled a few frames later, under the prior; None where there is no prior."""
-        return self.told.lagged(self.main_submap)
+        return self.reported.lagged(self.main_submap)
 
     def keyframe_trajectory(self) -> Trajectory:
         """Return the poses of this run's keyframes in the main sub-map; those of earlier runs are left out."""
@@ -272,7 +272,7 @@ class System:
             motion=replace(tracked.motion, is_static=tracked.is_static),
             keypoints=frame.keypoints,
         )
-        result = self.told.at_once(result, self.results)
+        result = self.reported.at_once(result, self.results)
         self.results.append(result.summary)
         self.last_look.keep(tracked)
         self.keeper.note(result.summary)
@@ -376,7 +376,7 @@ def build(
         keeper=timed_part(keeper, clock, keep="storage") if keeper else NoKeeper(),
         map=world,
         observer=observer or NoObserver(),
-        told=told_poses(config.trajectory, world),
+        reported=reported_poses(config.trajectory, world),
         last_look=config.last_look.build(parts, tracker, config.trajectory),
         first_keyframe=len(world.keyframes),
     )

@@ -172,7 +172,7 @@ def test_the_motion_between_two_poses(turn_rad: float) -> None:
 
 
 def test_the_filter_says_what_its_window_does_as_a_whole() -> None:
-    """One round a frame, from where the frame before left off, comes to the end of many rounds from anew."""
+    """One round a frame, from where the frame before left off, comes to the end of many rounds from the start."""
     times_s = np.arange(80) / RATE_HZ
     rng = np.random.default_rng(4)
     T, n_inliers = noisy(times_s, 5), rng.uniform(50, 500, 80)
@@ -223,16 +223,16 @@ def test_the_filter_follows_a_map_that_moves_all_at_once() -> None:
         np.testing.assert_allclose(found, jump @ still if i >= 40 else still, atol=1e-9)
 
 
-def test_the_filter_can_begin_anew_at_any_frame() -> None:
+def test_the_filter_can_begin_again_at_any_frame() -> None:
     """After a relocalization it is given fewer frames than before."""
     times_s = np.arange(40) / RATE_HZ
     T, n_inliers = noisy(times_s, 7), np.full(40, 300.0)
-    began, anew = TrajectoryFilter(CONFIG), TrajectoryFilter(CONFIG)
+    began, again = TrajectoryFilter(CONFIG), TrajectoryFilter(CONFIG)
     began.add(times_s[:26], T[:26], n_inliers[:26])
     for i in range(30, 40):
         np.testing.assert_allclose(
             began.add(times_s[30 : i + 1], T[30 : i + 1], n_inliers[30 : i + 1]),
-            anew.add(times_s[30 : i + 1], T[30 : i + 1], n_inliers[30 : i + 1]),
+            again.add(times_s[30 : i + 1], T[30 : i + 1], n_inliers[30 : i + 1]),
             atol=1e-5,
         )
 

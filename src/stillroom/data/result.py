@@ -105,7 +105,7 @@ class FrameSummary:
     Attributes:
         index, timestamp_s: Place and time of the image in its sequence.
         state: State of tracking.
-        T_world_cam: Pose as told at this moment (4, 4), under the trajectory prior where there is one; None when lost.
+        T_world_cam: Pose as reported at this moment (4, 4), under the trajectory prior if there is one; None when lost.
         n_keypoints, n_static, n_inliers: Keypoints found, judged static, and agreeing with the pose.
         n_keyframes: Keyframes in the map after this frame.
         is_keyframe: Whether this frame became one.

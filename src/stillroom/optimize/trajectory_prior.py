@@ -32,7 +32,7 @@ class TrajectoryPriorConfig:
     """The prior, and how far a frame's own pose is trusted.
 
     Attributes:
-        enabled: Whether trajectories are estimated under it: what is told of each frame at once, and the final one.
+        enabled: Whether trajectories are estimated under it: those reported at once, and the final one.
         position_m, rotation_rad: Standard deviation of a frame's own pose with which `typical_inliers` points agree.
         typical_inliers: That number of points.
         jerk_m_s3, jerk_rad_s3: Standard deviation of the change of acceleration, at thirty frames a second.

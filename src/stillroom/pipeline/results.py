@@ -4,7 +4,7 @@
 config.toml              the effective config; in `[run]`, which configures nothing, how it came about
 trajectory.tum           final poses: each frame on its reference keyframe's corrected pose; here and below, a comment
                          says where they are up to scale
-trajectory_online.tum    poses as they were told when the frame was tracked
+trajectory_online.tum    poses as they were reported when the frame was tracked
 trajectory_lag5.tum      poses as settled five frames later, of methods whose trajectory has a prior
 keyframes.tum            keyframes of the map
 frames.csv               every image with its state: tracked, lost, or unreadable; the sub-map of its pose, and
@@ -215,7 +215,7 @@ def write_config(folder: Path, origin: Origin, config: SlamConfig, options: RunO
 
 def lagged_name(system: System) -> str:
     """Return the name of the file with the poses as settled a few frames later."""
-    return f"trajectory_lag{system.told.lag}.tum"
+    return f"trajectory_lag{system.reported.lag}.tum"
 
 
 def write_results(folder: Path, outcome: RunOutcome, truth: Truth | None) -> DenseCloud | None:

@@ -1,4 +1,4 @@
-"""What a user is told of where the camera is: at once, a few frames later, and in the end, under the trajectory prior.
+"""The poses that a user gets: at once, a few frames later, and in the end, under the trajectory prior.
 
 Tracking, mapping and the motion model work with a frame's own pose, found from its matches alone; under the prior the
 poses before it tell something of it, too. The newest frames' own poses are taken as known now: where mapping, a closed
@@ -17,27 +17,27 @@ from stillroom.geometry.arrays import F64, I64
 from stillroom.optimize.trajectory_prior import TrajectoryFilter, TrajectoryPriorConfig, smoothed
 
 
-def told_poses(prior: TrajectoryPriorConfig, world: Map) -> "ToldPoses | OwnPoses":
+def reported_poses(prior: TrajectoryPriorConfig, world: Map) -> "ReportedPoses | OwnPoses":
     """Return what tells the poses of a map's frames, under a prior where it is in use."""
-    return ToldPoses(prior, world) if prior.enabled else OwnPoses()
+    return ReportedPoses(prior, world) if prior.enabled else OwnPoses()
 
 
 @dataclass
-class _Told:
-    """A frame's pose as told last (4, 4), its time [s], and the sub-map that the pose was in then."""
+class _Reported:
+    """A frame's pose as last reported (4, 4), its time [s], and the sub-map that the pose was in then."""
 
     timestamp_s: float
     T_world_cam: F64
     submap: int
 
 
-class ToldPoses:
+class ReportedPoses:
     """Tells poses under the trajectory prior."""
 
     def __init__(self, prior: TrajectoryPriorConfig, world: Map) -> None:
         """Start before the first frame."""
         self._prior, self._world, self._filter = prior, world, TrajectoryFilter(prior)
-        self._told: list[_Told] = []
+        self._reported: list[_Reported] = []
 
     @property
     def lag(self) -> int:
@@ -60,9 +60,9 @@ class ToldPoses:
 
     def lagged(self, submap: int) -> Trajectory:
         """Return the poses each as settled a few frames later, of frames that were in a sub-map then."""
-        told = [each for each in self._told if each.submap == submap]
-        poses = np.array([each.T_world_cam for each in told], dtype=np.float64).reshape(-1, 4, 4)
-        return Trajectory(np.array([each.timestamp_s for each in told]), poses, self._world.sensor.is_metric)
+        reported = [each for each in self._reported if each.submap == submap]
+        poses = np.array([each.T_world_cam for each in reported], dtype=np.float64).reshape(-1, 4, 4)
+        return Trajectory(np.array([each.timestamp_s for each in reported]), poses, self._world.sensor.is_metric)
 
     def in_the_end(self, trajectory: Trajectory, n_agreeing: Sequence[int]) -> Trajectory:
         """Return a trajectory as one estimate.
@@ -86,10 +86,10 @@ class ToldPoses:
             submap = int(self._world.keyframes.submap[result.reference_keyframe])
         times_s = np.array([each.timestamp_s for each in newest])
         poses = self._filter.add(times_s, own, np.array([each.n_agreeing for each in newest], dtype=np.float64))
-        self._told.append(_Told(result.timestamp_s, result.T_world_cam, submap))
-        for told, T_world_cam in zip(self._told[-self.lag - 1 :][::-1], poses[::-1], strict=False):
-            told.T_world_cam, told.submap = T_world_cam.copy(), submap
-        return self._told[-1].T_world_cam
+        self._reported.append(_Reported(result.timestamp_s, result.T_world_cam, submap))
+        for reported, T_world_cam in zip(self._reported[-self.lag - 1 :][::-1], poses[::-1], strict=False):
+            reported.T_world_cam, reported.submap = T_world_cam.copy(), submap
+        return self._reported[-1].T_world_cam
 
     def _together(self, result: FrameSummary, before: Sequence[FrameSummary]) -> list[FrameSummary]:
         """Return the newest frames that have a pose, since the last relocalization, in the sub-map of the last one."""

@@ -1,4 +1,4 @@
-"""What is told of poses at once and later: on a map whose keyframes move, and in runs of rendered rooms."""
+"""Poses reported at once and later: on a map whose keyframes move, and in runs of rendered rooms."""
 
 from dataclasses import replace
 
@@ -10,7 +10,7 @@ from stillroom.data.map import Map
 from stillroom.data.result import FrameSummary, Recovery, TrackingState
 from stillroom.geometry import se3
 from stillroom.optimize.trajectory_prior import TrajectoryPriorConfig, smoothed
-from stillroom.tracking.told_poses import OwnPoses, ToldPoses, told_poses
+from stillroom.tracking.reported_poses import OwnPoses, ReportedPoses, reported_poses
 
 PRIOR = TrajectoryPriorConfig(enabled=True)
 STEP_S = 1 / 30
@@ -28,7 +28,7 @@ class Run:
 
     def __init__(self) -> None:
         self.map: Map = SmallMap.of(WORLD, [at(time_s) for time_s in (0.0, 0.4, 0.8)]).map
-        self.told = ToldPoses(PRIOR, self.map)
+        self.reported = ReportedPoses(PRIOR, self.map)
         self.results: list[FrameSummary] = []
         self.own: list[np.ndarray] = []
         self._rng = np.random.default_rng(0)
@@ -43,11 +43,11 @@ class Run:
             k, time_s, TrackingState.OK, own, 500, 500, 300, 3, False, keyframe, noted, n_agreeing=300
         )
         self.own.append(own)
-        self.results.append(self.told.at_once(replace(result, **changed), self.results))
+        self.results.append(self.reported.at_once(replace(result, **changed), self.results))
 
     def lose(self, time_s: float) -> None:
         lost = FrameSummary(len(self.results), time_s, TrackingState.LOST, None, 500, 500, 0, 3, False, -1, None)
-        self.results.append(self.told.at_once(lost, self.results))
+        self.results.append(self.reported.at_once(lost, self.results))
 
     def many(self, n: int, start: int = 0) -> "Run":
         for k in range(start, start + n):
@@ -71,10 +71,10 @@ def test_the_result_has_the_pose_that_the_frames_so_far_say_and_keeps_its_own_fo
         np.testing.assert_allclose(own, run.own[k], atol=1e-12)
 
 
-def test_later_poses_are_better_than_those_told_at_once_and_these_better_than_the_own() -> None:
+def test_later_poses_are_better_than_those_reported_at_once_and_these_better_than_the_own() -> None:
     run = Run().many(200)
     at_once = np.array([r.T_world_cam for r in run.results])
-    lagged = run.told.lagged(0)
+    lagged = run.reported.lagged(0)
     np.testing.assert_array_equal(lagged.timestamps_s, [r.timestamp_s for r in run.results])
     own, now, later = (
         np.sqrt(np.mean(run.errors_m(poses)[20:] ** 2)) for poses in (np.array(run.own), at_once, lagged.T_world_cam)
@@ -91,8 +91,8 @@ def test_a_map_that_is_corrected_is_no_motion_of_the_camera() -> None:
         moved.add(k * STEP_S, jump, k // 12 % 3)
     for one, other in zip(still.results[40:], moved.results[40:], strict=True):
         np.testing.assert_allclose(other.T_world_cam, jump @ one.T_world_cam, atol=1e-9)
-    later, after = still.told.lagged(0).T_world_cam, moved.told.lagged(0).T_world_cam
-    np.testing.assert_allclose(after[:35], later[:35], atol=1e-9)  # told before it
+    later, after = still.reported.lagged(0).T_world_cam, moved.reported.lagged(0).T_world_cam
+    np.testing.assert_allclose(after[:35], later[:35], atol=1e-9)  # reported before it
     np.testing.assert_allclose(after[35:], jump @ later[35:], atol=1e-9)
 
 
@@ -127,40 +127,40 @@ def test_over_a_break_nothing_is_known(event: str) -> None:
     first = len(run.own) - 1
     for number in range(1, 8):
         run.add((k + number) * STEP_S, keyframe=run.results[-1].reference_keyframe)
-    told = [r.T_world_cam for r in run.results if r.T_world_cam is not None][first:]
+    reported = [r.T_world_cam for r in run.results if r.T_world_cam is not None][first:]
     for n in range(3):
-        np.testing.assert_allclose(told[n], run.own[first + n], atol=1e-12)
-    assert np.abs(told[3] - run.own[first + 3]).max() > 1e-4
+        np.testing.assert_allclose(reported[n], run.own[first + n], atol=1e-12)
+    assert np.abs(reported[3] - run.own[first + 3]).max() > 1e-4
     submaps = {r.reference_keyframe: run.map.keyframes.submap[r.reference_keyframe] for r in run.results[-8:]}
-    assert len(run.told.lagged(int(next(iter(submaps.values()))))) > 0
+    assert len(run.reported.lagged(int(next(iter(submaps.values()))))) > 0
 
 
 def test_what_is_lagged_is_what_was_in_the_sub_map_then() -> None:
     run = Run().many(12)
     run.map.keyframes.submap[1:] = 1
     run.many(12, start=12)
-    assert [len(run.told.lagged(submap)) for submap in (0, 1, 2)] == [12, 12, 0]
+    assert [len(run.reported.lagged(submap)) for submap in (0, 1, 2)] == [12, 12, 0]
     run.map.keyframes.submap[1:] = 0  # merged, which the frames after it can tell of those shortly before
     run.add(24 * STEP_S, keyframe=1)
-    assert [len(run.told.lagged(submap)) for submap in (0, 1)] == [12 + 1 + PRIOR.lag, 12 - PRIOR.lag]
+    assert [len(run.reported.lagged(submap)) for submap in (0, 1)] == [12 + 1 + PRIOR.lag, 12 - PRIOR.lag]
 
 
 def test_an_image_that_repeats_the_one_before_counts_for_next_to_nothing() -> None:
     run, without = Run().many(20), Run().many(20)
     last = run.results[-1]
     repeated = replace(last, index=20, timestamp_s=20 * STEP_S, n_agreeing=0)
-    run.told.repeat(repeated, run.results)
+    run.reported.repeat(repeated, run.results)
     run.results.append(repeated)
     for each in (run, without):
         each.add(21 * STEP_S)
     apart_m = np.linalg.norm(run.results[-1].T_world_cam[:3, 3] - without.results[-1].T_world_cam[:3, 3])
     assert apart_m < 5e-4
-    assert len(run.told.lagged(0)) == 22
+    assert len(run.reported.lagged(0)) == 22
 
 
 def test_without_a_prior_results_are_what_they_were() -> None:
-    run, told = Run().many(5), told_poses(TrajectoryPriorConfig(), Run().map)
-    assert isinstance(told, OwnPoses)
-    assert told.at_once(run.results[4], run.results[:4]) is run.results[4]
-    assert told.lagged(0) is None
-    told.repeat(run.results[4], run.results)
+    run, reported = Run().many(5), reported_poses(TrajectoryPriorConfig(), Run().map)
+    assert isinstance(reported, OwnPoses)
+    assert reported.at_once(run.results[4], run.results[:4]) is run.results[4]
+    assert reported.lagged(0) is None
+    reported.repeat(run.results[4], run.results)

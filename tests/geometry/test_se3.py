@@ -85,6 +85,14 @@ def test_orthonormalize_returns_the_nearest_rotation() -> None:
         assert np.linalg.norm(other - drifted[:3, :3]) >= distance
 
 
+def test_orthonormalize_of_many_is_that_of_each() -> None:
+    rng = np.random.default_rng(4)
+    many = np.tile(np.eye(4), (5, 1, 1))
+    many[:, :3] += 0.2 * rng.normal(size=(5, 3, 4))
+    many[2, :3, :3] = np.diag([1.0, 1.0, -0.9])
+    np.testing.assert_allclose(se3.orthonormalize(many), [se3.orthonormalize(each) for each in many], atol=1e-14)
+
+
 def test_orthonormalize_never_returns_a_mirror() -> None:
     assert np.linalg.det(se3.orthonormalize(np.diag([1.0, 1.0, -0.9, 1.0]))[:3, :3]) == pytest.approx(1.0)
 

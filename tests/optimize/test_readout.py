@@ -10,11 +10,11 @@ from stillroom.geometry.arrays import F64
 from stillroom.optimize.readout import (
     FrameEvidence,
     RowsSeen,
+    add_equations,
     agreed,
     eliminate,
-    of_block,
-    of_equations,
     of_frame,
+    of_one_shear,
     velocities,
 )
 
@@ -186,12 +186,13 @@ def test_a_readout_found_with_pose_and_twist_is_that_of_least_squares() -> None:
     """Of equations of pose and twist, twist = ρ ν + b, with b near 0: ρ as numpy solves for all of them at once."""
     rng = np.random.default_rng(9)
     J, e, velocity = rng.normal(size=(60, 12)), rng.normal(size=60), rng.normal(size=6)
-    evidence = of_equations(np.tril(J.T @ J), J.T @ e, np.zeros(6), velocity)
+    information, slope = np.zeros((7, 7)), np.zeros(7)
+    add_equations(np.tril(J.T @ J), J.T @ e, np.zeros(6), velocity, information, slope)
     by_all = np.column_stack((J[:, :6], J[:, 6:] @ velocity, J[:, 6:]))
     prior = np.zeros((6, 13))
     prior[:, 7:] = np.diag(1.0 / np.repeat((0.02, 0.02), 3))
     rows = np.concatenate((by_all, prior))
     expected = np.linalg.lstsq(rows, -np.concatenate((e, np.zeros(6))), rcond=None)[0]
-    readout_s, information = of_block([evidence])
+    readout_s, certainty = of_one_shear(information, slope)
     assert readout_s == pytest.approx(expected[6], rel=1e-8)
-    assert information == pytest.approx(1.0 / np.linalg.inv(rows.T @ rows)[6, 6], rel=1e-8)
+    assert certainty == pytest.approx(1.0 / np.linalg.inv(rows.T @ rows)[6, 6], rel=1e-8)

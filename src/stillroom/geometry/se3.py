@@ -80,10 +80,16 @@ def are_near(T_a_b: Floats, T_c_b: Floats, reach_m: float, reach_rad: float) -> 
 
 
 def orthonormalize(T_a_b: Floats) -> F64:
-    """Return `T_a_b` (4, 4) with its rotation replaced by the nearest true rotation."""
-    U, _, Vt = np.linalg.svd(T_a_b[:3, :3])
+    """Return `T_a_b` (..., 4, 4) with its rotation replaced by the nearest true rotation."""
+    U, _, Vt = np.linalg.svd(T_a_b[..., :3, :3])
     R = U @ Vt
-    (a, b, c), (d, e, f), (g, h, i) = R.tolist()
+    if T_a_b.ndim > 2:
+        mirror = np.ones((*T_a_b.shape[:-2], 1, 3))
+        mirror[..., 0, 2] = np.sign(np.linalg.det(R))
+        T_true = np.array(T_a_b, dtype=np.float64)
+        T_true[..., :3, :3] = (U * mirror) @ Vt
+        return T_true
+    (a, b, c), (d, e, f), (g, h, i) = R.tolist()  # one motion, the common case, without the machinery for many
     if a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g) < 0.0:  # a mirror
         R = U @ np.diag([1.0, 1.0, -1.0]) @ Vt
     return from_rotation_translation(R, T_a_b[:3, 3])

@@ -21,7 +21,8 @@ from stillroom.optimize.observations import MIN_DEPTH_M
 ITERATIONS = 5
 SHEAR_M, SHEAR_RAD = 0.02, 0.02
 """Standard deviations of b: what 0.7 m/s and rad/s come to in 30 ms."""
-_OF_SHEAR = np.diag(np.repeat((SHEAR_M, SHEAR_RAD), 3) ** -2.0)
+OF_SHEAR = np.repeat((SHEAR_M, SHEAR_RAD), 3) ** -2.0
+_OF_SHEAR = np.diag(OF_SHEAR)
 HUBER = 2.0
 """In deviations of a keypoint."""
 LEAST_POINTS = 30
@@ -151,20 +152,30 @@ def of_frame(seen: RowsSeen, T_cam_world: F64, velocity: F64, camera: Camera, re
     return FrameEvidence(information, slope + information @ known, speed_px_s)
 
 
-def of_equations(H: F64, b: F64, moved_with: F64, velocity: F64) -> FrameEvidence:
-    """Return what a frame says whose pose and twist of rows were solved together, at the pose that was found.
+@njit(nogil=True, cache=True)
+def add_equations(H: F64, b: F64, moved_with: F64, velocity: F64, information: F64, slope: F64) -> None:
+    """Add what a frame says whose pose and twist of rows were solved together, at the pose that was found.
 
     Args:
         H, b: Normal equations (12, 12), lower triangle, and (12,), of the pose and of the twist by which the last row
             is seen after the first, at no twist; those of `rolling_pose.linearize_rows` with shares in place of times.
         moved_with: The twist (6,) by which its keypoints had been moved to mid-frame.
         velocity: Of the camera (6,) [m/s, rad/s].
+        information, slope: Those of a `FrameEvidence` (7, 7), (7,), added to.
     """
-    rows, reduced = whole_of(H), np.array(b, dtype=np.float64)
+    rows, reduced = whole_of(H), b.copy()
     eliminate(rows, reduced, 0, 6)  # the pose
-    slope = rows[6:, 6:] @ moved_with - reduced[6:]
-    parts = np.column_stack((velocity, np.eye(6)))
-    return FrameEvidence(parts.T @ rows[6:, 6:] @ parts, parts.T @ slope, 0.0)
+    for i in range(6):
+        by_velocity, own = 0.0, -reduced[6 + i]
+        for j in range(6):
+            by_velocity += rows[6 + i, 6 + j] * velocity[j]
+            own += rows[6 + i, 6 + j] * moved_with[j]
+            information[1 + i, 1 + j] += rows[6 + i, 6 + j]
+        information[0, 0] += velocity[i] * by_velocity
+        information[0, 1 + i] += by_velocity
+        information[1 + i, 0] += by_velocity
+        slope[0] += velocity[i] * own
+        slope[1 + i] += own
 
 
 @njit(nogil=True, cache=True)
@@ -217,13 +228,21 @@ def _split(frames: list[FrameEvidence], n_blocks: int) -> list[list[FrameEvidenc
 
 
 def of_block(frames: list[FrameEvidence]) -> tuple[float, float]:
-    """Return ρ [s] of frames that see one shear, which is eliminated, and the inverse variance of it [1/s²]."""
-    H = np.sum([frame.information for frame in frames], axis=0)
-    slope = np.sum([frame.slope for frame in frames], axis=0)
-    H[1:, 1:] += _OF_SHEAR
-    eliminate(H, slope, 1, 7)
-    information = max(float(H[0, 0]), 1e-9)  # a camera that never moved tells nothing
-    return float(slope[0]) / information, information
+    """Return ρ [s] of frames that see one shear, and the inverse variance of it [1/s²]."""
+    information = np.sum([frame.information for frame in frames], axis=0)
+    return of_one_shear(information, np.sum([frame.slope for frame in frames], axis=0))
+
+
+@njit(nogil=True, cache=True)
+def of_one_shear(information: F64, slope: F64) -> tuple[float, float]:
+    """Return ρ [s] and its inverse variance [1/s²] from sums of `FrameEvidence`; the shear is eliminated."""
+    H, b = information.copy(), slope.copy()
+    for i in range(6):
+        H[1 + i, 1 + i] += OF_SHEAR[i]
+    eliminate(H, b, 1, 7)
+    known = max(H[0, 0], 1e-9)  # a camera that never moved tells nothing
+    readout_s: float = b[0] / known
+    return readout_s, known
 
 
 def _mean(own: F64, information: F64) -> float:

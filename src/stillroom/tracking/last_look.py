@@ -8,6 +8,7 @@ at points that all frames have placed, whose noise is averaged over ten times as
 """
 
 import logging
+import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -32,6 +33,7 @@ from stillroom.tracking.shutter import expected_velocities, terms_of
 from stillroom.tracking.tracker import Tracker
 
 log = logging.getLogger(__name__)
+_NO_RGB, _NO_DEPTH = np.zeros((0, 0, 3), dtype=np.uint8), np.zeros((0, 0), dtype=np.float32)
 LEAST_KEYFRAMES = 2
 """A point that one keyframe alone sees lies where that frame's depth put it, and tells nothing new."""
 
@@ -98,6 +100,13 @@ class Sights(NamedTuple):
             point_ids=tracked.point_ids[chosen],
             p_static=None if p_static is None else np.rint(255.0 * p_static[chosen]).astype(np.uint8),
         )
+
+
+class Seen(NamedTuple):
+    """What one frame saw of the map as it is now: keypoints, and those matched with points that are still there."""
+
+    sights: Sights
+    matches: Matches
 
 
 class LastLook:
@@ -175,51 +184,51 @@ class LastLook:
             self._sights.popleft()
             self.n_forgotten += 1
 
-    def _as_known_now(self, places: list[int]) -> list[Sights | None]:
-        """Return what the frames at some places saw, −1 for points that are gone or tell nothing, each once a frame."""
+    def _as_known_now(self, places: list[int]) -> list[Seen | None]:
+        """Return what the frames at some places saw of points that are left and tell something, each once a frame."""
         kept = [self._sights[i - self.n_forgotten] if i >= self.n_forgotten else None for i in places]
-        known: list[Sights | None] = []
+        known: list[Seen | None] = []
         for k, sights in enumerate(kept):
             if sights is None or (k > 0 and sights is kept[k - 1]):  # one that repeats the one before stays the same
                 known.append(None if sights is None else known[k - 1])
                 continue
             ids = self._world.current_ids(sights.point_ids)
             ids[self._world.points.n_keyframes[ids] < LEAST_KEYFRAMES] = -1  # a −1 reads the last point, and stays −1
-            known.append(sights._replace(point_ids=_each_once(ids)))
+            known.append(Seen(sights, Matches.of(_each_once(ids))))
         return known
 
     def _look(self, frames: "Frames", motion: "Motion", position_m: F64) -> Bool:
         """Fit all frames to points (P, 3) [m]; return which of them (N,) have a new pose."""
-        is_new = np.zeros(len(frames.sights), dtype=np.bool_)
-        for k, sights in enumerate(frames.sights):
-            if sights is None:
+        is_new = np.zeros(len(frames.seen), dtype=np.bool_)
+        T_cam_world = se3.inverse(frames.T_world_cam)
+        for k, seen in enumerate(frames.seen):
+            if seen is None:
                 continue
-            if k > 0 and sights is frames.sights[k - 1]:  # an image that repeats the one before has its pose
-                frames.T_world_cam[k], is_new[k] = frames.T_world_cam[k - 1], is_new[k - 1]
+            if k > 0 and seen is frames.seen[k - 1]:  # an image that repeats the one before has its pose
+                T_cam_world[k], is_new[k] = T_cam_world[k - 1], is_new[k - 1]
                 continue
-            view = self._view(sights, frames.times_s[k], motion.velocity[k])
-            if len(view.matches) < self.config.min_inliers:
+            if len(seen.matches) < self.config.min_inliers:
                 continue
-            guess = se3.inverse(frames.T_world_cam[k])
-            fitted = self._pose.fit(view.frame, guess, view.matches, position_m, view.p_static, view.depth)
+            view = self._view(seen, frames.times_s[k], motion.velocity[k])
+            fitted = self._pose.fit(view.frame, T_cam_world[k], seen.matches, position_m, view.p_static, view.depth)
             n_inliers = np.count_nonzero(fitted.is_inlier)
             if n_inliers >= self.config.min_inliers:
-                frames.T_world_cam[k] = se3.orthonormalize(se3.inverse(fitted.T_cam_world))
-                frames.n_agreeing[k], is_new[k] = n_inliers, True
+                T_cam_world[k], frames.n_agreeing[k], is_new[k] = fitted.T_cam_world, n_inliers, True
+        frames.T_world_cam[is_new] = se3.orthonormalize(se3.inverse(T_cam_world[is_new]))
         return is_new
 
     def _placed(self, frames: "Frames", motion: "Motion", position_m: F64) -> F64:
         """Return where all frames together see the points (P, 3) [m]; the map keeps its own."""
         sums = PointSums.nothing(len(position_m))
-        for k, sights in enumerate(frames.sights):
-            if sights is None or (k > 0 and sights is frames.sights[k - 1]):
+        for k, seen in enumerate(frames.seen):
+            if seen is None or (k > 0 and seen is frames.seen[k - 1]):
                 continue
-            view = self._view(sights, frames.times_s[k], motion.velocity[k])
-            chosen, terms = view.matches.keypoint, terms_of(view.frame, view.matches, view.depth)
+            view, chosen = self._view(seen, frames.times_s[k], motion.velocity[k]), seen.matches.keypoint
+            terms = terms_of(view.frame, seen.matches, view.depth)
             add_camera(
                 sums,
                 position_m,
-                view.matches.point_id,
+                seen.matches.point_id,
                 motion.T_cam_world[k],
                 terms.observed_px,
                 terms.weights,
@@ -230,30 +239,31 @@ class LastLook:
         moved: F64 = placed(sums, position_m)
         return moved
 
-    def _view(self, sights: Sights, time_s: float, velocity: F64) -> "_View":
+    def _view(self, seen: Seen, time_s: float, velocity: F64) -> "_View":
         """Return what is kept of a frame as pose and points are fitted to it, moved to mid-frame by a velocity."""
+        p_static = seen.sights.p_static
         return _View(
-            self._pose.at_mid_frame(self._frame(sights, time_s), velocity),
-            Matches.of(sights.point_ids),
-            None if sights.p_static is None else sights.p_static.astype(np.float32) / np.float32(255.0),
-            self._depth.terms(float(np.linalg.norm(velocity[3:])), self._camera),
+            self._pose.at_mid_frame(self._frame(seen.sights, time_s), velocity),
+            None if p_static is None else p_static.astype(np.float32) / np.float32(255.0),
+            self._depth.terms(math.sqrt(float(velocity[3:] @ velocity[3:])), self._camera),
         )
 
     def _frame(self, sights: Sights, time_s: float) -> Frame:
         """Return what is kept of a frame as a frame, without its image and descriptors."""
         n, camera = len(sights.px), self._camera
+        raw_px = np.empty((n, 2), dtype=np.float32)
+        raw_px[:, 0], raw_px[:, 1] = sights.px[:, 0], sights.row
         keypoints = Keypoints(
             px=sights.px,
-            raw_px=np.stack((sights.px[:, 0], sights.row.astype(np.float32)), axis=1),
+            raw_px=raw_px,
             octave=sights.octave.astype(np.int32),
             angle_rad=np.zeros(n, dtype=np.float32),
             descriptors=np.zeros((n, 32), dtype=np.uint8),
             depth_m=sights.depth_m,
             right_px=camera.right_coordinate(sights.px[:, 0], sights.depth_m),
         )
-        nothing = np.zeros((0, 0, 3), dtype=np.uint8)
         is_metric = self._world.sensor.is_metric
-        image = RgbdImage(time_s, nothing, np.zeros((0, 0), np.float32)) if is_metric else MonoImage(time_s, nothing)
+        image = RgbdImage(time_s, _NO_RGB, _NO_DEPTH) if is_metric else MonoImage(time_s, _NO_RGB)
         return Frame(image, camera, self._scales, keypoints, np.ones(n, dtype=np.bool_))
 
 
@@ -288,13 +298,13 @@ class Frames:
         times_s: Their times (N,) [s].
         T_world_cam: Their poses (N, 4, 4), as known by now.
         n_agreeing: Points that each pose was found from (N,) float64.
-        sights: What each saw; None where it was not kept.
+        seen: What each saw; None where it was not kept.
     """
 
     times_s: F64
     T_world_cam: F64
     n_agreeing: F64
-    sights: list[Sights | None]
+    seen: list[Seen | None]
 
     def motion(self, prior: TrajectoryPriorConfig) -> Motion:
         """Return how the camera moves, under the prior where it is in use; 0 next to no frame."""
@@ -311,7 +321,6 @@ class _View(NamedTuple):
     """What the fits of poses and points take of a frame."""
 
     frame: Frame
-    matches: Matches
     p_static: F32 | None
     depth: DepthTerms
 

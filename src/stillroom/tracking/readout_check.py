@@ -14,7 +14,7 @@ import numpy as np
 
 from stillroom.geometry import se3, twists
 from stillroom.geometry.arrays import F64
-from stillroom.optimize.readout import BLOCK_FRAMES, FrameEvidence, of_block, of_equations
+from stillroom.optimize.readout import BLOCK_FRAMES, add_equations, of_one_shear
 
 LONGEST_GAP_S = 0.1
 """Between frames that follow each other: over a longer one the motion is not known."""
@@ -88,7 +88,7 @@ class ReadoutCheck:
         """Begin with what the camera file says [s], which holds until rows speak against it."""
         self._file_s = file_s
         self._last: deque[Rows] = deque(maxlen=3)
-        self._block = FrameEvidence(np.zeros((7, 7)), np.zeros(7), 0.0)
+        self._information, self._slope = np.zeros((7, 7)), np.zeros(7)  # of the block that is not whole yet
         self._n_in_block, self._n_frames, self._n_as_one = 0, 0, 0
         self._sums = np.zeros(4)  # of whole blocks: how many, and Σ w, Σ w ρ, Σ w ρ²
         self._found: tuple[float, float] | None = None
@@ -117,15 +117,14 @@ class ReadoutCheck:
         if velocity is None:
             return False
         middle = self._last[1]
-        said, block = of_equations(middle.H, middle.b, middle.moved_with, velocity), self._block
-        self._block = FrameEvidence(block.information + said.information, block.slope + said.slope, 0.0)
+        add_equations(middle.H, middle.b, middle.moved_with, velocity, self._information, self._slope)
         self._n_in_block, self._n_frames = self._n_in_block + 1, self._n_frames + 1
-        readout_s, information = of_block([self._block])
+        readout_s, information = of_one_shear(self._information, self._slope)
         weight = 1.0 / (NOISE**2 / information + MODEL_S**2)
         sums: F64 = self._sums + np.array((1.0, weight, weight * readout_s, weight * readout_s**2))
         if self._n_in_block == BLOCK_FRAMES:
             self._sums, self._n_in_block = sums, 0
-            self._block = FrameEvidence(np.zeros((7, 7)), np.zeros(7), 0.0)
+            self._information, self._slope = np.zeros((7, 7)), np.zeros(7)
         n, total, mean_s = sums[0], sums[1], sums[2] / sums[1]
         scatter = (sums[3] - total * mean_s**2) / (n - 1.0) if n > 1.0 else 1.0
         self._found = float(mean_s), float(np.sqrt(max(scatter, 1.0) / total))

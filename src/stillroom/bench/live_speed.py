@@ -1,5 +1,6 @@
 """The speed of a method under the live schedule: as fast as it goes, and at a camera's rate."""
 
+import threading
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -14,7 +15,8 @@ from stillroom.config import SlamConfig
 from stillroom.data.image import Image
 from stillroom.datasets.recording import DatasetView
 from stillroom.errors import FrameError
-from stillroom.evaluation.timing import processor
+from stillroom.evaluation.timing import processor, unit_ms
+from stillroom.geometry.arrays import U8
 from stillroom.pipeline import SILENT, RunProgress
 from stillroom.protocols import Dataset
 from stillroom.schedule import LiveSchedule
@@ -22,7 +24,10 @@ from stillroom.schedule import LiveSchedule
 CAMERA_HZ = 30.0
 UNITS_A_PERIOD = 4.7
 """A 30 Hz camera's period on a machine whose unit is 7.1 ms; a slower machine is given as many units."""
-UNIT_IMAGES = 24
+UNIT_IMAGES = 140
+"""About a second: on a virtual machine the clock may double from one second to the next."""
+UNIT_EVERY_S = 0.5
+"""While a run goes on: a hundredth of one core."""
 
 HEADER = (
     "pace", "seed", "ms a frame", "frames/s", "units", "dropped", "tracked",
@@ -64,16 +69,50 @@ class InMemory(DatasetView):
         times_s = self.timestamps_s
         return (len(times_s) - 1) / float(times_s[-1] - times_s[0])
 
-    def unit_ms(self) -> float:
-        """Return the mean wall time [ms] of one `cv2.ORB_create(1000).detectAndCompute`, over images from all over."""
+    def grays(self) -> list[U8]:
+        """Return images from all over (H, W) uint8, of which the unit is measured."""
         images = [image for image in self._images if isinstance(image, Image)]
-        grays = [cv2.cvtColor(image.rgb, cv2.COLOR_RGB2GRAY) for image in images[:: max(1, len(images) // UNIT_IMAGES)]]
+        chosen = images[:: max(1, len(images) // UNIT_IMAGES)]
+        return [np.asarray(cv2.cvtColor(image.rgb, cv2.COLOR_RGB2GRAY), dtype=np.uint8) for image in chosen]
+
+
+class UnitMeanwhile:
+    """Measures the unit while a live run goes on, so that both see the same machine; a context.
+
+    One `cv2.ORB_create(1000).detectAndCompute` every half second, on a thread of its own and in CPU time of it, as
+    `bench.speed.UnitMeter` does between the frames of a run in order.
+    """
+
+    def __init__(self, grays: Sequence[U8]) -> None:
+        """Take images (H, W) uint8."""
+        self._grays, self._cpu_ms = grays, list[float]()
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._measure, name="stillroom-unit")
+
+    def __enter__(self) -> "UnitMeanwhile":
+        """Begin."""
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """End."""
+        self._ended.set()
+        self._thread.join()
+
+    @property
+    def mean_ms(self) -> float:
+        """The unit [ms]."""
+        return float(np.mean(self._cpu_ms))
+
+    def _measure(self) -> None:
         orb = cv2.ORB.create(1000)
-        orb.detectAndCompute(grays[0], None)  # the first call allocates
-        start_s = time.perf_counter()
-        for gray in grays:
-            orb.detectAndCompute(gray, None)
-        return (time.perf_counter() - start_s) / len(grays) * 1e3
+        orb.detectAndCompute(self._grays[0], None)  # the first call allocates
+        while True:
+            start_ns = time.thread_time_ns()
+            orb.detectAndCompute(self._grays[len(self._cpu_ms) % len(self._grays)], None)
+            self._cpu_ms.append((time.thread_time_ns() - start_ns) * 1e-6)
+            if self._ended.wait(UNIT_EVERY_S):
+                return
 
 
 @dataclass(frozen=True)
@@ -84,7 +123,7 @@ class LiveSpeed:
         method: Its name.
         seed: Its seed.
         rate_hz: Images a second that were played; 0: as fast as it goes.
-        unit_ms: One unit, before and after the run, in wall time [ms].
+        unit_ms: One unit, measured while the run went on [ms].
         n_frames: Images of the sequence.
         n_dropped, n_tracked: Images that were dropped, and that have a pose.
         wall_ms: Wall time until every queue was empty, over the frames [ms].
@@ -142,7 +181,7 @@ def camera_rate_hz(unit_ms: float) -> float:
 
 
 def live_speed(
-    dataset: InMemory, name: str, config: SlamConfig, rate_hz: float, progress: RunProgress = SILENT
+    dataset: InMemory, name: str, config: SlamConfig, paced: bool, progress: RunProgress = SILENT
 ) -> LiveSpeed:
     """Run a method live over a sequence. Kernels should be loaded, and nothing else should run.
 
@@ -150,22 +189,24 @@ def live_speed(
         dataset: The sequence.
         name: Name of the method in the result.
         config: The method, with its seed.
-        rate_hz: Images a second; 0: as fast as it goes.
+        paced: Whether images come at a camera's rate, by the unit as it is just before the run; or as fast as it goes.
         progress: Called for each frame.
 
     Raises:
         KeyboardInterrupt: The user stopped it.
         StillroomError: Something that the run needs is wrong.
     """
-    before_ms, schedule = dataset.unit_ms(), LiveSchedule()
-    trial = attempt(dataset, config, config.seed, progress, schedule=schedule, speed=rate_hz / dataset.rate_hz)
+    grays, schedule = dataset.grays(), LiveSchedule()
+    rate_hz = camera_rate_hz(unit_ms(grays)) if paced else 0.0
+    with UnitMeanwhile(grays) as unit:
+        trial = attempt(dataset, config, config.seed, progress, schedule=schedule, speed=rate_hz / dataset.rate_hz)
     assert trial.live is not None
     live = trial.live
     return LiveSpeed(
         method=name,
         seed=config.seed,
         rate_hz=rate_hz,
-        unit_ms=(before_ms + dataset.unit_ms()) / 2.0,
+        unit_ms=unit.mean_ms,
         n_frames=trial.n_given,
         n_dropped=len(live.dropped),
         n_tracked=trial.n_tracked,
@@ -180,15 +221,19 @@ def live_speed(
 
 def sentences(runs: Sequence[LiveSpeed]) -> list[str]:
     """Return several runs of a method at one pace in words."""
-    first = runs[0]
-    pace = f"at {first.rate_hz:.1f} Hz" if first.rate_hz > 0 else "as fast as it goes"
+    first, slowest, fastest = runs[0], min(run.rate_hz for run in runs), max(run.rate_hz for run in runs)
+    rates = f"{slowest:.1f}" if fastest - slowest < 0.1 else f"{slowest:.1f} to {fastest:.1f}"
+    pace = f"at a camera's rate, {rates} Hz" if fastest > 0 else "as fast as it goes"
     known = [run.ate_m for run in runs if run.ate_m is not None]
-    wall_ms = median(run.wall_ms for run in runs)
+    wall_ms, dropped = median(run.wall_ms for run in runs), [100.0 * run.n_dropped / run.n_frames for run in runs]
     text = (
         f"{first.method}, live, {pace}, median of {len(runs)} runs: {wall_ms:.1f} ms a frame, "
         f"{1000.0 / wall_ms:.1f} frames/s, {median(run.units for run in runs):.2f} units; "
-        f"{median(100.0 * run.n_dropped / run.n_frames for run in runs):.1f} % dropped"
+        f"{median(dropped):.1f} % dropped, at most {max(dropped):.1f} %"
     )
+    if fastest > 0:
+        middle, late = (median(run.delay_ms[k] / run.unit_ms for run in runs) for k in range(2))
+        text += f"; due to pose {middle:.2f} units, 95th percentile {late:.2f}"
     if known:
         text += f"; ATE {median(known):.4f} m, at worst {max(known):.4f} m"
     workers = list(dict.fromkeys(worker for run in runs for worker in run.loads))

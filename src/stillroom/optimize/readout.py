@@ -230,7 +230,8 @@ def _split(frames: list[FrameEvidence], n_blocks: int) -> list[list[FrameEvidenc
 def of_block(frames: list[FrameEvidence]) -> tuple[float, float]:
     """Return ρ [s] of frames that see one shear, and the inverse variance of it [1/s²]."""
     information = np.sum([frame.information for frame in frames], axis=0)
-    return of_one_shear(information, np.sum([frame.slope for frame in frames], axis=0))
+    readout_s, certainty = of_one_shear(information, np.sum([frame.slope for frame in frames], axis=0))
+    return float(readout_s), float(certainty)
 
 
 @njit(nogil=True, cache=True)
@@ -240,7 +241,7 @@ def of_one_shear(information: F64, slope: F64) -> tuple[float, float]:
     for i in range(6):
         H[1 + i, 1 + i] += OF_SHEAR[i]
     eliminate(H, b, 1, 7)
-    known = max(H[0, 0], 1e-9)  # a camera that never moved tells nothing
+    known: float = max(H[0, 0], 1e-9)  # a camera that never moved tells nothing
     readout_s: float = b[0] / known
     return readout_s, known
 

@@ -19,7 +19,7 @@ from stillroom.bench.rejection import Way, ways
 from stillroom.bench.speed import Speed, UnitMeter
 from stillroom.cli.arguments import SensorName, Settings, Tables
 from stillroom.cli.bench.session import Bench, Camera, Frames, Methods, Out, Runs, Sequence1, Sequences
-from stillroom.cli.output import print_lines, say
+from stillroom.cli.output import print_lines
 from stillroom.config import SlamConfig
 from stillroom.errors import ConfigError
 from stillroom.pipeline import Source
@@ -223,16 +223,14 @@ def speed(
 
 def _speed_live(bench: Bench, source: Source, configs: dict[str, SlamConfig], n_runs: int) -> None:
     images = living.InMemory(source.open())
-    rate_hz = living.camera_rate_hz(images.unit_ms())
-    say(f"a camera's rate here: {rate_hz:.1f} Hz")
 
     def measure(name: str, config: SlamConfig) -> list[list[living.LiveSpeed]]:
         paces: list[list[living.LiveSpeed]] = []
-        for pace_hz in (0.0, rate_hz):
+        for paced in (False, True):
             paces.append([])
             for seed in range(n_runs):
                 bench.bar.label = f"{name}, live, seed {seed}"
-                paces[-1].append(living.live_speed(images, name, replace(config, seed=seed), pace_hz, bench.bar))
+                paces[-1].append(living.live_speed(images, name, replace(config, seed=seed), paced, bench.bar))
         return paces
 
     for paces in bench.each(configs, measure):

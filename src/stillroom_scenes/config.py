@@ -52,6 +52,7 @@ class SyntheticConfig:
         noise: Whether the sensor has noise, quantisation, holes and a limited range; if not, depth is exact to 0.2 mm.
         readout_ms: Time in which the rows of a colour image are read, a rolling shutter [ms]; 0: all at once. Depth is
             taken at once, in the middle of it.
+        stated_readout_ms: What the calibration says of that time, right or wrong [ms]; −1: what is right.
         depth_scale: What the sensor says a metre is: with 1.03 all depth is 3 % too far, and the camera does not know.
         depth_late_ms: How late depth is stamped [ms]: each image has the depth of so much earlier.
         stereo: A pair of cameras in place of the RGB-D one: rectified, or turned (distorted, the right one by 1°;
@@ -70,6 +71,7 @@ class SyntheticConfig:
     alike: bool = True
     noise: bool = True
     readout_ms: float = 0.0
+    stated_readout_ms: float = -1.0
     depth_scale: float = 1.0
     depth_late_ms: float = 0.0
     stereo: str = "none"
@@ -93,16 +95,21 @@ class SyntheticConfig:
             raise ConfigError(
                 f"synthetic: readout_ms is {self.readout_ms}; it must be 0 to {longest_ms:.3g}, the time of a frame"
             )
+        if not (0.0 <= self.stated_readout_ms <= longest_ms or self.stated_readout_ms == -1.0):
+            raise ConfigError(
+                f"synthetic: stated_readout_ms is {self.stated_readout_ms}; it must be 0 to {longest_ms:.3g}, or -1"
+            )
         if not 0.5 <= self.depth_scale <= 2.0:
             raise ConfigError(f"synthetic: depth_scale is {self.depth_scale}; it must be 0.5 to 2")
         if not abs(self.depth_late_ms) <= LATEST_MS:
             raise ConfigError(
                 f"synthetic: depth_late_ms is {self.depth_late_ms}; it must be -{LATEST_MS:g} to {LATEST_MS:g}"
             )
-        if (self.readout_ms, self.depth_scale, self.depth_late_ms) != (0.0, 1.0, 0.0) and self.stereo in EYES:
+        of_rgbd = self.readout_ms, self.stated_readout_ms, self.depth_scale, self.depth_late_ms
+        if of_rgbd != (0.0, -1.0, 1.0, 0.0) and self.stereo in EYES:
             raise ConfigError(
-                "synthetic: readout_ms, depth_scale and depth_late_ms are for the RGB-D camera; leave them out of a "
-                "stereo sequence"
+                "synthetic: readout_ms, stated_readout_ms, depth_scale and depth_late_ms are for the RGB-D camera; "
+                "leave them out of a stereo sequence"
             )
         if self.seed < 0:
             raise ConfigError(f"synthetic: seed is {self.seed}; it must be 0 or more")
@@ -111,14 +118,16 @@ class SyntheticConfig:
         if "/" in self.name:
             raise ConfigError(f"synthetic: name is '{self.name}'; it must not have a slash")
         name = self.name or self._own_name()
-        # The name and the cache do not change what a frame looks like.
-        looks = repr(replace(self, name="", cache=True)) if self.cache else None
+        # Name, cache and what the calibration says do not change what a frame looks like.
+        looks = repr(replace(self, name="", cache=True, stated_readout_ms=-1.0)) if self.cache else None
         common = self.n_frames, self.fps, self.seed, self.noise, looks
         if self.stereo in EYES:
             room: SyntheticRoom = PairRoom(name, self._world(), EYES[self.stereo](CAMERA), *common)
         else:
             depth = DepthFault(self.depth_scale, 1e-3 * self.depth_late_ms)
-            room = SyntheticRoom(name, self._world(), *common, 1e-3 * self.readout_ms, depth)
+            stated_s = 1e-3 * (self.readout_ms if self.stated_readout_ms < 0.0 else self.stated_readout_ms)
+            readout_s = 1e-3 * self.readout_ms
+            room = SyntheticRoom(name, self._world(), *common, readout_s, depth, stated_readout_s=stated_s)
         if self.figures in ONLY_PEOPLE:
             room.empty = replace(self, name="", figures="none").build
         return room
@@ -141,6 +150,7 @@ class SyntheticConfig:
         rate = "" if self.fps == 30.0 else f"_{self.fps:g}fps"
         exact = "" if self.noise else "_exact"
         rolling = f"_readout{self.readout_ms:g}ms" if self.readout_ms else ""
+        rolling += f"_stated{self.stated_readout_ms:g}ms" if self.stated_readout_ms >= 0.0 else ""
         rolling += f"_depth{self.depth_scale:g}" if self.depth_scale != 1.0 else ""
         rolling += f"_late{self.depth_late_ms:g}ms" if self.depth_late_ms else ""
         pair = "" if self.stereo == NO_PAIR else "_stereo" if self.stereo == "rectified" else f"_stereo_{self.stereo}"

@@ -85,6 +85,7 @@ class SyntheticRoom(Recording):
         readout_s: float = 0.0,
         depth: DepthFault = SOUND,
         camera: Camera = CAMERA,
+        stated_readout_s: float | None = None,
     ) -> None:
         """Take pictures of a world.
 
@@ -99,9 +100,11 @@ class SyntheticRoom(Recording):
             readout_s: Of the camera's rolling shutter [s]; see `Camera.readout_s`.
             depth: What is wrong with depth.
             camera: Its calibration otherwise.
+            stated_readout_s: What the calibration says of the readout [s]; by default the truth.
         """
         self.name = name
-        self.camera = replace(camera, readout_s=readout_s)
+        self.camera = replace(camera, readout_s=readout_s if stated_readout_s is None else stated_readout_s)
+        self._taken_with = replace(camera, readout_s=readout_s)
         self.camera_source = "the renderer's own pinhole camera: fx = fy = 525, no distortion, exact"
         self.timestamps_s = np.arange(n_frames) / fps
         self.scene = world.scene
@@ -109,7 +112,7 @@ class SyntheticRoom(Recording):
         self._noise = sensor.NoiseTables(seed) if noise else None
         self._cache: FrameCache | None = None
         if cache_spec is not None:
-            spec = f"{_renderer_version()} {cache_spec} {self.camera}"
+            spec = f"{_renderer_version()} {cache_spec} {self._taken_with}"
             self._cache = FrameCache(hashlib.sha256(spec.encode()).hexdigest()[:24])
 
     @cached_property
@@ -183,8 +186,8 @@ class SyntheticRoom(Recording):
         """Render frame `index` and apply the sensor model: colours row by row, depth at once in the middle of them."""
         rendering = self._rendered(index)
         inverse_depth = self._inverse_depth(rendering, float(self.timestamps_s[index]))
-        if self.camera.readout_s > 0.0:
-            rows = render_rows(self.scene, self.camera, self._way, float(self.timestamps_s[index]))
+        if self._taken_with.readout_s > 0.0:
+            rows = render_rows(self.scene, self._taken_with, self._way, float(self.timestamps_s[index]))
             rendering = Rendering(rows.rgb, inverse_depth, rows.instance)
         units: U16 = np.empty(rendering.instance.shape, dtype=np.uint16)
         if self._noise is None:

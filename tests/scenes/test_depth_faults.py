@@ -39,7 +39,17 @@ def test_the_noise_of_the_sensor_is_that_of_what_it_reads() -> None:
     assert np.median(far.depth_m[both] / sound.depth_m[both]) == pytest.approx(1.1, abs=0.002)
 
 
-@pytest.mark.parametrize("wrong", ["depth_scale=0.4", "depth_scale=nan", "depth_late_ms=501", "depth_late_ms=nan"])
+def test_a_readout_that_is_stated_wrongly_changes_the_calibration_alone() -> None:
+    spec = "synthetic:walking,frames=1,cache=off,readout_ms=20"
+    true, stated = open_synthetic(spec), open_synthetic(f"{spec},stated_readout_ms=0")
+    assert (true.camera.readout_s, stated.camera.readout_s) == (0.02, 0.0)
+    np.testing.assert_array_equal(stated.load(0).rgb, true.load(0).rgb)
+    assert stated.name != true.name
+
+
+@pytest.mark.parametrize(
+    "wrong", ["depth_scale=0.4", "depth_scale=nan", "depth_late_ms=501", "depth_late_ms=nan", "stated_readout_ms=-2"]
+)
 def test_impossible_faults_are_refused(wrong: str) -> None:
     with pytest.raises(ConfigError, match=f"synthetic: {wrong.split('=')[0]} is"):
         open_synthetic(f"{WALK},{wrong}")

@@ -215,7 +215,7 @@ def test_a_young_map_keeps_its_length_when_what_was_near_leaves_the_view(euroc_m
     """The vehicle begins beside the floor, at 0.1 m, and then looks at a hall.
 
     With ORB-SLAM2's least parallax, 1.15°, points of the hall were wrong pairs alone, the map's lengths fell to a
-    hundredth from image 30 to image 40, and the error here was 0.3 m.
+    hundredth from image 30 to image 40, and the error here was 0.22 m.
     """
     dataset = open_dataset(str(euroc_mh05))
     system = monocular(dataset.camera, seed=5)

@@ -4,9 +4,12 @@ import numpy as np
 import pytest
 from small_world import CAMERA, SmallMap, SmallWorld, pose
 
+from stillroom.data.sensor import Sensor
 from stillroom.geometry import se3
 from stillroom.mapping import new_points
-from stillroom.mapping.new_points import by_triangulation
+from stillroom.mapping.new_points import PairLimits, by_triangulation
+from stillroom.presets.registry import configure
+from stillroom.system import build
 
 SIDE = pose(0.4, 0.05, 0.0, (0.0, -0.08, 0.01))
 FORWARD = pose(0.02, 0.0, 0.8)
@@ -173,7 +176,7 @@ LENS = (CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy, CAMERA.bf)
 def test_the_way_is_that_of_the_larger_parallax(depth_share: float) -> None:
     small, first, second = some_pairs(FORWARD, depth_share)
     poses, table = small.map.keyframes.T_world_cam, small.map.keypoints
-    ways = new_points.choose_ways(first, second, columns(small), poses[0], poses[1], LENS)
+    ways = new_points.choose_ways(first, second, columns(small), (poses[0], poses[1]), LENS, 0.9998)
     rays = [CAMERA.back_project(table.px[rows], np.ones(len(rows))) for rows in (first, second)]
     a, b = (r @ T[:3, :3].T / np.linalg.norm(r, axis=1, keepdims=True) for r, T in zip(rays, poses, strict=True))
     cosine = (a * b).sum(axis=1)
@@ -219,3 +222,63 @@ def test_levels_must_fit_the_distances() -> None:
     quotient = far / near / (factors[first] / factors[second])
     np.testing.assert_array_equal(good, (quotient < 1.8) & (quotient > 1 / 1.8))
     assert 0.2 < good.mean() < 0.9
+
+
+def far_look_alikes(n: int = 300) -> SmallWorld:
+    """Far points in pairs that look the same and lie on one row of the image, 12 to 60 pixels apart."""
+    rng = np.random.default_rng(5)
+    left = np.stack((rng.uniform(20, 500, n), rng.uniform(20, 460, n)), axis=1)
+    px = np.concatenate((left, left + np.stack((rng.uniform(12, 60, n), np.zeros(n)), axis=1)))
+    z = rng.uniform(5.0, 7.0, 2 * n)
+    descriptors, angle_rad = rng.integers(0, 256, (n, 32), dtype=np.uint8), rng.uniform(-np.pi, np.pi, n)
+    return SmallWorld(CAMERA.back_project(px, z), np.tile(descriptors, (2, 1)), np.tile(angle_rad, 2), 2.0 * z)
+
+
+def far_pairs(limits: PairLimits, angle_rad: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Which points that a short way makes of far look-alikes are right (M,), and their depth (M,) [m], truly 5 to 7.
+
+    A right pair has about .75° of parallax, a wrong one often more.
+    """
+    world = far_look_alikes()
+    world.angle_rad = world.angle_rad if angle_rad is None else angle_rad
+    small = SmallMap(world)
+    for T in (np.eye(4), pose(0.08)):
+        small.add(T, make_points=False, depth_share=0.0, noise_px=0.3, flips=10)
+    ids = by_triangulation(1, [0], CAMERA, small.map, limits)
+    assert len(ids) > 50
+    _, rows = small.map.observations(ids)
+    numbers = np.concatenate(small.seen)[rows]
+    is_second = small.map.keypoints.keyframe[rows] == 1
+    return numbers[is_second] == numbers[~is_second], small.map.points.position_m[ids, 2]
+
+
+def test_where_all_is_far_little_parallax_tells_more_than_wrong_pairs_do() -> None:
+    is_right, depth_m = far_pairs(PairLimits())
+    assert is_right.mean() < 0.1
+    assert np.median(depth_m) < 3.0, "ORB-SLAM2's least parallax keeps wrong pairs alone, which stand too near"
+    is_right, depth_m = far_pairs(PairLimits(largest_cosine=0.99995))
+    assert is_right.mean() > 0.5
+    assert np.median(depth_m) > 4.0
+
+
+def test_pairs_whose_orientations_differ_are_no_points() -> None:
+    angle_rad = np.repeat((0.0, 1.0), 300)  # of two that look the same, one is turned
+    limits = PairLimits(largest_cosine=0.99995, most_turned_rad=np.radians(20.0))
+    assert far_pairs(limits, angle_rad)[0].all()
+    assert not far_pairs(PairLimits(largest_cosine=0.99995), angle_rad)[0].all()
+
+
+@pytest.mark.parametrize("roll_rad", [0.0, 1.2, -3.0])
+def test_orientations_are_compared_less_the_cameras_roll(roll_rad: float) -> None:
+    small = two_keyframes(pose(0.4, 0.0, 0.0, (0.0, 0.0, roll_rad)), depth_share=0.0)
+    rows = small.map.rows(1)
+    small.map.keypoints.angle_rad[rows.start : rows.stop] -= roll_rad  # a camera that rolls sees all turned back
+    n = len(by_triangulation(1, [0], CAMERA, small.map, PairLimits(most_turned_rad=0.1)))
+    again = two_keyframes(pose(0.4, 0.0, 0.0, (0.0, 0.0, roll_rad)), depth_share=0.0)
+    assert n == len(triangulated(again)[0]) > 50
+
+
+def test_only_a_single_camera_locates_points_by_so_little_parallax() -> None:
+    for sensor, cosine, turned_deg in ((Sensor.RGBD, 0.9998, 180.0), (Sensor.MONOCULAR, 0.99995, 20.0)):
+        mapping = build(configure("orb-slam2"), CAMERA, sensor=sensor).mapper.config
+        assert (mapping.largest_cosine, mapping.most_turned_deg) == (cosine, turned_deg)

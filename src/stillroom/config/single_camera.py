@@ -18,6 +18,8 @@ def for_single_camera(config: SlamConfig) -> SlamConfig:
         mapping=replace(
             config.mapping,
             n_neighbours=own.n_neighbours,
+            largest_cosine=own.largest_cosine,
+            most_turned_deg=own.most_turned_deg,
             n_fused=own.n_neighbours,
             trial_keyframes=own.trial_keyframes,
             min_observations=own.min_observations,

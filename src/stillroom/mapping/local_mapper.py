@@ -1,5 +1,6 @@
 """Local mapping (ORB-SLAM2): the update of the map for a new keyframe."""
 
+import math
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -14,7 +15,7 @@ from stillroom.geometry.arrays import F32, F64, I32, I64
 from stillroom.geometry.camera import Camera
 from stillroom.mapping.culling import TRIAL, Trial, cull_keyframes, cull_points, on_trial
 from stillroom.mapping.fusing import fuse_neighbourhood
-from stillroom.mapping.new_points import by_triangulation, from_depth
+from stillroom.mapping.new_points import PairLimits, by_triangulation, from_depth
 from stillroom.optimize.bundle import BundleAdjuster, BundleConfig, BundleProblem, BundleResult
 from stillroom.optimize.observations import of_keypoints
 from stillroom.protocols import Parts
@@ -146,6 +147,9 @@ class LocalMapperConfig:
     Attributes:
         th_depth: Points nearer than this many baselines are close: made from depth, counted for redundancy.
         n_neighbours: Covisible keyframes to triangulate with.
+        largest_cosine: Of the parallax of a point that is triangulated without depth, at most (ORB-SLAM2: 1.15°).
+        most_turned_deg: By how much the orientations of its keypoints may differ, less the camera's roll; 180: by any
+            angle, as in ORB-SLAM2.
         n_fused: Covisible keyframes whose points are searched in a new one, and the reverse.
         trial_keyframes: A new point is tested for so many keyframes …
         min_observations: … and must then have more than so many observations; one with depth counts as two.
@@ -162,6 +166,8 @@ class LocalMapperConfig:
 
     th_depth: float = bounded(40.0, above=0)
     n_neighbours: int = bounded(5, least=0)
+    largest_cosine: float = bounded(PairLimits.largest_cosine, above=0, most=1)
+    most_turned_deg: float = bounded(180.0, above=0, most=180)
     n_fused: int = bounded(10, least=0)
     trial_keyframes: int = bounded(TRIAL.keyframes, least=1)
     min_observations: int = bounded(TRIAL.min_observations, least=0)
@@ -186,6 +192,7 @@ class LocalMapper:
         self._adjust, self._adjust_looped = config.bundle.build(), config.looped_bundle.build()
         # With a single camera all points count as close.
         self._close_depth_m = config.th_depth * camera.baseline_m if world.sensor.is_metric else np.inf
+        self._limits = PairLimits(config.largest_cosine, math.radians(config.most_turned_deg))
         self._trial = Trial(config.trial_keyframes, config.min_observations)
         self._on_trial = on_trial(world, self._trial)
         self._has_inserted = False
@@ -243,7 +250,7 @@ class LocalMapper:
         if not neighbours:
             return
         with world.lock:
-            new = by_triangulation(keyframe, neighbours, self.camera, world)
+            new = by_triangulation(keyframe, neighbours, self.camera, world, self._limits)
             self._on_trial = np.append(self._on_trial, new)
         with world.lock:
             fuse_neighbourhood(keyframe, self.camera, world, self.config.n_fused)

@@ -1,6 +1,7 @@
 """New points of a keyframe: from its depth at once, by triangulation with its neighbours later."""
 
 import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -21,9 +22,24 @@ BY_NOTHING, BY_RAYS, BY_FIRST, BY_SECOND = 0, 1, 2, 3
 MIN_NEAREST = 100
 """A keyframe makes at least this many points from depth, however far (ORB-SLAM2)."""
 _CHI2_2D, _CHI2_3D = 5.991, 7.815
-_LARGEST_COSINE = 0.9998
 _SHORTEST = 0.01
 """Baseline that tells depth, as a share of the scene's median depth."""
+
+
+@dataclass(frozen=True)
+class PairLimits:
+    """Which pairs of keypoints make a point.
+
+    Attributes:
+        largest_cosine: Of the parallax, where neither keypoint has a depth (ORB-SLAM2: 1.15°).
+        most_turned_rad: By how much the keypoints' orientations may differ, less the camera's roll; π: by any angle.
+    """
+
+    largest_cosine: float = 0.9998
+    most_turned_rad: float = math.pi
+
+
+_ORB_SLAM2 = PairLimits()
 
 
 def from_depth(keyframe: int, tracked: Tracked, close_depth_m: float, world: Map) -> I32:
@@ -52,17 +68,29 @@ def from_depth(keyframe: int, tracked: Tracked, close_depth_m: float, world: Map
     return world.add_points(se3.transform(world.keyframes.T_world_cam[keyframe], points_cam), start + free)
 
 
-def by_triangulation(keyframe: int, neighbours: list[int], camera: Camera, world: Map) -> I32:
+def by_triangulation(
+    keyframe: int, neighbours: list[int], camera: Camera, world: Map, limits: PairLimits = _ORB_SLAM2
+) -> I32:
     """Make points of static keypoints that this keyframe and a neighbour both see and that have no point yet.
 
     Where parallax is smaller than that of depth, depth is used (ORB-SLAM2: CreateNewMapPoints).
+
+    Args:
+        keyframe: The keyframe.
+        neighbours: Keyframes that may see the same.
+        camera: The camera of all of them.
+        world: Receives the points.
+        limits: Which pairs make a point.
+
+    Returns:
+        Their ids.
     """
     made = [np.zeros(0, dtype=np.int32)]
     centre = world.keyframes.T_world_cam[keyframe, :3, 3]
     for neighbour in neighbours:
         if np.linalg.norm(world.keyframes.T_world_cam[neighbour, :3, 3] - centre) < shortest(neighbour, camera, world):
             continue
-        first, second, positions_m = _pair(keyframe, neighbour, camera, world)
+        first, second, positions_m = _pair(keyframe, neighbour, camera, world, limits)
         if len(first) == 0:
             continue
         new = world.add_points(positions_m, first, refresh=False)
@@ -87,7 +115,7 @@ def shortest(neighbour: int, camera: Camera, world: Map) -> float:
     return _SHORTEST * float(np.median(depths)) if len(depths) else np.inf
 
 
-def _pair(keyframe: int, neighbour: int, camera: Camera, world: Map) -> tuple[I64, I64, F64]:
+def _pair(keyframe: int, neighbour: int, camera: Camera, world: Map, limits: PairLimits) -> tuple[I64, I64, F64]:
     """Return rows (M,) of the keyframe and of a neighbour that see the same, and where that lies (M, 3) [m, world]."""
     table, T_world_cam = world.keypoints, world.keyframes.T_world_cam
     rows, others = world.rows(keyframe), world.rows(neighbour)
@@ -106,9 +134,21 @@ def _pair(keyframe: int, neighbour: int, camera: Camera, world: Map) -> tuple[I6
         T_world_cam[neighbour],
         camera.lens,
         float(camera.bf),
-        (world.scales.factors, world.scales.inverse_variances, 1.5 * world.scales.factor),
+        (world.scales.factors, world.scales.inverse_variances, 1.5 * world.scales.factor, limits.largest_cosine),
     )
+    if limits.most_turned_rad < math.pi:
+        steady = _turned_rad(first, second, keyframe, neighbour, world) < limits.most_turned_rad
+        first, second, positions_m = first[steady], second[steady], positions_m[steady]
     return first, second, positions_m
+
+
+def _turned_rad(first: I64, second: I64, keyframe: int, neighbour: int, world: Map) -> F64:
+    """Return by how much the orientations of paired rows (M,) differ, less the roll between the keyframes [rad]."""
+    T_world_cam, angle_rad = world.keyframes.T_world_cam, world.keypoints.angle_rad
+    R = T_world_cam[neighbour, :3, :3].T @ T_world_cam[keyframe, :3, :3]
+    roll_rad = math.atan2(R[1, 0] - R[0, 1], R[0, 0] + R[1, 1])
+    off_rad = angle_rad[second].astype(np.float64) - angle_rad[first] - roll_rad
+    return np.abs(np.remainder(off_rad + math.pi, 2.0 * math.pi) - math.pi)
 
 
 class _Seen(NamedTuple):
@@ -140,7 +180,7 @@ def pair_rows(
     T_world_second: F64,
     lens: Lens,
     bf: float,
-    scales: tuple[F64, F64, float],
+    scales: tuple[F64, F64, float, float],
 ) -> tuple[I64, I64, F64]:
     """Return pairs of static rows without a point, (M,) each, and where that lies (M, 3) [m, world].
 
@@ -150,9 +190,9 @@ def pair_rows(
         T_world_first, T_world_second: Poses T_world_cam (4, 4).
         lens, bf: The camera; distortion is not read.
         scales: Size (L,) [px] and inverse variance (L,) [1/px²] of the levels, and by which factor distances may differ
-            from what levels say.
+            from what levels say, and the largest cosine of a parallax.
     """
-    factors, inverse_variances, slack = scales
+    factors, inverse_variances, slack, largest_cosine = scales
     T_first_world, T_second_world = inverse_motion(T_world_first), inverse_motion(T_world_second)
     T_second_first = np.empty((4, 4))
     for r in range(4):
@@ -175,7 +215,7 @@ def pair_rows(
         (lens.fx, lens.fy, lens.cx, lens.cy, bf),
     )
     positions_m, good = locate(
-        first, second, seen, (T_world_first, T_world_second, T_first_world, T_second_world), intrinsics
+        first, second, seen, (T_world_first, T_world_second, T_first_world, T_second_world), intrinsics, largest_cosine
     )
     check(positions_m, first, seen, T_first_world, intrinsics, inverse_variances, good)
     check(positions_m, second, seen, T_second_world, intrinsics, inverse_variances, good)
@@ -206,7 +246,12 @@ def _described(rows: I64, table: _Table) -> Described:
 
 @njit(nogil=True, cache=True)
 def locate(
-    first: I64, second: I64, seen: _Seen, poses: tuple[F64, F64, F64, F64], intrinsics: tuple[float, ...]
+    first: I64,
+    second: I64,
+    seen: _Seen,
+    poses: tuple[F64, F64, F64, F64],
+    intrinsics: tuple[float, ...],
+    largest_cosine: float,
 ) -> tuple[F64, Bool]:
     """Return where matched rows see their points (M, 3) [m, world], and whether that is known (M,); else it is 0.
 
@@ -215,9 +260,10 @@ def locate(
         seen: All rows.
         poses: T_world_cam (4, 4) of the two, and both the other way round.
         intrinsics: fx, fy, cx, cy [px] and bf [px·m].
+        largest_cosine: Of the parallax of a point without depth.
     """
     T_world_first, T_world_second, T_first_world, T_second_world = poses
-    ways = choose_ways(first, second, seen, T_world_first, T_world_second, intrinsics)
+    ways = choose_ways(first, second, seen, (T_world_first, T_world_second), intrinsics, largest_cosine)
     rays = np.flatnonzero(ways == BY_RAYS)
     positions_m, good = np.zeros((len(first), 3)), np.zeros(len(first), np.bool_)
     met_m = triangulate(
@@ -252,12 +298,17 @@ def _rays(rows: I64, seen: _Seen, intrinsics: tuple[float, ...]) -> F64:
 
 @njit(nogil=True, cache=True)
 def choose_ways(
-    first: I64, second: I64, seen: _Seen, T_world_first: F64, T_world_second: F64, intrinsics: tuple[float, ...]
+    first: I64,
+    second: I64,
+    seen: _Seen,
+    T_world_cam: tuple[F64, F64],
+    intrinsics: tuple[float, ...],
+    largest_cosine: float,
 ) -> I64:
     """Return how to locate the points of matched rows (M,): by depth where that stands for the larger parallax."""
     fx, fy, cx, cy, bf = intrinsics
     ways = np.empty(len(first), np.int64)
-    A, B = T_world_first, T_world_second
+    A, B = T_world_cam
     for i in range(len(first)):
         px, other = seen.px[first[i]], seen.px[second[i]]
         ax, ay, bx, by = (px[0] - cx) / fx, (px[1] - cy) / fy, (other[0] - cx) / fx, (other[1] - cy) / fy
@@ -271,7 +322,7 @@ def choose_ways(
         cosine_second = _stereo_cosine(seen.depth_m[second[i]], bf / fx)
         cosine_stereo = min(cosine_first, cosine_second)
         has_depth = cosine_stereo < 1.0
-        if 0.0 < cosine < cosine_stereo and (has_depth or cosine < _LARGEST_COSINE):
+        if 0.0 < cosine < cosine_stereo and (has_depth or cosine < largest_cosine):
             ways[i] = BY_RAYS
         elif not has_depth:
             ways[i] = BY_NOTHING

@@ -54,6 +54,9 @@ class MonocularConfig:
         share: A keyframe is due when fewer than this share of the reference keyframe's points is tracked.
         min_gap: Frames between keyframes, at least.
         n_neighbours: Covisible keyframes to triangulate with, and to fuse with: depth comes from nowhere else.
+        largest_cosine: Of the parallax of a point that is triangulated, at most: .57°. Where all is far for the way
+            that the camera went, right pairs have less than ORB-SLAM2's 1.15°, and what is left are wrong ones.
+        most_turned_deg: By how much the orientations of its keypoints may differ, less the camera's roll.
         trial_keyframes: A point is tested for so many keyframes …
         min_observations: … and must then be seen by more than so many.
         patience: Frames without recognition after which a sub-map is begun; 0: never, as in ORB-SLAM2.
@@ -75,6 +78,8 @@ class MonocularConfig:
     share: float = bounded(0.9, least=0, most=1)
     min_gap: int = bounded(1, least=0)
     n_neighbours: int = bounded(20, least=0)
+    largest_cosine: float = bounded(0.99995, above=0, most=1)
+    most_turned_deg: float = bounded(20.0, above=0, most=180)
     trial_keyframes: int = bounded(3, least=1)
     min_observations: int = bounded(2, least=0)
     patience: int = bounded(0, least=0)

@@ -2,11 +2,14 @@
 
 import numpy as np
 import pytest
+from building import parts
 
 from stillroom.data.semantics import Box
+from stillroom.presets.registry import configure
 from stillroom.semantics.yolo_fastest import YoloFastestConfig
 from stillroom_scenes.config import open_synthetic
 
+OC_SLAM = configure("oc-slam")
 LARGE = 0.05
 """Share of the image from which on a figure must be found."""
 
@@ -18,18 +21,19 @@ def overlap(one: Box, other: Box) -> float:
 
 
 @pytest.mark.parametrize(
-    ("variant", "spec"),
+    ("config", "spec"),
     [
-        ("1.1", "synthetic:walking"),
-        ("1.1-xl", "synthetic:walking"),
-        ("1.1", "synthetic:standing,seed=1"),
-        ("1.1", "synthetic:carried"),
-        ("1.1", "synthetic:walking,room=workshop,seed=1"),
+        (YoloFastestConfig(), "synthetic:walking"),
+        (YoloFastestConfig("1.1-xl"), "synthetic:walking"),
+        (OC_SLAM.semantics, "synthetic:walking"),
+        (YoloFastestConfig(), "synthetic:standing,seed=1"),
+        (OC_SLAM.semantics, "synthetic:carried"),
+        (OC_SLAM.semantics, "synthetic:walking,room=workshop,seed=1"),
     ],
 )
-def test_nine_of_ten_figures_are_found_at_the_papers_threshold(variant: str, spec: str) -> None:
-    detector = YoloFastestConfig(variant=variant).build_detector(0.80)
+def test_nine_of_ten_figures_are_found_at_the_papers_threshold(config: YoloFastestConfig, spec: str) -> None:
     room = open_synthetic(spec + ",cache=off")
+    detector = config.build_detector(0.80, parts(room.camera))
     found = []
     for index in range(0, len(room), 9):
         image = room.load(index)

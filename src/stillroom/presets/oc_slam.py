@@ -3,7 +3,7 @@
 Differs from the paper, which is the preset `oc-slam-paper`:
 
 * boxes are carried over images in which the detector misses them, and then continue at a confidence below 0.80;
-* only persons have boxes;
+* only persons have boxes; the detector's input has the proportions of the image, which is not stretched to a square;
 * epipolar lines are taken from the tracked pose and the image that saw a point first, and a depth history of ten
   seconds decides where they cannot: what lies in a box is dynamic until it is shown to be static
   (`dynamics/epipolar_sieve.py`);
@@ -24,12 +24,15 @@ from stillroom.semantics.depth_clusters import DepthClustersConfig
 from stillroom.semantics.yolo_fastest import YoloFastestConfig
 from stillroom.tracking.tracker import TrackerConfig
 
+LONGER_SIDE = 1.0
+"""Of the detector's input, as a share of its file's: 320 × 256 pixels for images of 4:3 (benchmarks/README.md)."""
+
 METHOD = Method(
     name="oc-slam",
     summary="YOLO-Fastest boxes and depth clusters; off its epipolar line, or in former free space: rejected",
     config=SlamConfig(
         method="oc-slam",
-        semantics=YoloFastestConfig(),
+        semantics=YoloFastestConfig(longer_side=LONGER_SIDE),
         clusters=DepthClustersConfig(),
         dynamics=ClusterSieveConfig(),
         tracking=TrackerConfig(between_keyframes="flow"),

@@ -91,6 +91,7 @@ def test_who_stood_for_five_seconds_unknown_leaves_no_statue(standing: Filmed) -
     assert share_in(late, still_m, 0.05) > 0.97
 
 
+@pytest.mark.slow
 def test_misses_free_the_voxels_of_who_stood_for_five_seconds(standing: Filmed) -> None:
     stood_m, still_m = standing.surface(3.0, FIGURES), standing.still_surface()
     stood_m = stood_m[distances_m(stood_m, still_m) > 0.08]

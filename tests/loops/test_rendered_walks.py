@@ -106,6 +106,7 @@ def check_nothing_false(seen: Walk) -> None:
         assert after < before + 0.01
 
 
+@pytest.mark.slow
 def test_rooms_that_look_the_same_are_not_taken_for_one(monkeypatch: pytest.MonkeyPatch) -> None:
     seen = walk("synthetic:building,frames=600", "orb-slam2", monkeypatch)
     check_nothing_false(seen)

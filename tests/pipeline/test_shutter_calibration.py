@@ -22,7 +22,7 @@ MS = 1e-3
         (TURNING, 25.0),
         pytest.param(TURNING, 10.0, marks=pytest.mark.slow),
         pytest.param(f"{TURNING},room=library,seed=3", 30.0, marks=pytest.mark.slow),
-        ("synthetic:empty,frames=150", 25.0),
+        pytest.param("synthetic:empty,frames=150", 25.0, marks=pytest.mark.slow),
     ],
 )
 def test_a_rendered_readout_is_found_within_two_milliseconds(spec: str, readout_ms: float) -> None:

@@ -29,6 +29,8 @@ CERTAIN = 4.0
 """In deviations."""
 NONE_OF_IT = 1.0 / 3.0
 """A readout below this share of the one in the camera file is nearer to none, by a margin."""
+SETTLED_STRIDE = 2
+"""Of the frames whose equations are asked for once rows speak for the camera file."""
 STRONGLY = 0.25
 """By which share of that one another is worth a warning."""
 
@@ -41,7 +43,7 @@ class Rows(NamedTuple):
         T_world_cam: Its pose (4, 4).
         n_jumps: How often the map has jumped.
         submap: The sub-map that the pose is in: those of another have another origin, and maybe another unit.
-        H, b: Normal equations of pose and twist (12, 12), (12,).
+        H, b: Normal equations of pose and twist (12, 12), (12,); empty where they were not asked for.
         moved_with: The twist (6,) by which its keypoints were moved.
     """
 
@@ -89,7 +91,7 @@ class ReadoutCheck:
         self._file_s = file_s
         self._last: deque[Rows] = deque(maxlen=3)
         self._information, self._slope = np.zeros((7, 7)), np.zeros(7)  # of the block that is not whole yet
-        self._n_in_block, self._n_frames, self._n_as_one = 0, 0, 0
+        self._n_in_block, self._n_frames, self._n_as_one, self._n_added = 0, 0, 0, 0
         self._sums = np.zeros(4)  # of whole blocks: how many, and Σ w, Σ w ρ, Σ w ρ²
         self._found: tuple[float, float] | None = None
         self.as_one = False
@@ -98,6 +100,11 @@ class ReadoutCheck:
     def is_settled(self) -> bool:
         """Whether rows speak for the readout in the camera file, and certainly against none."""
         return self._found is not None and not self.as_one and self._found[0] > CERTAIN * self._found[1]
+
+    @property
+    def asks_next(self) -> bool:
+        """Whether the next frame's equations are asked for: of every second frame once rows speak for the file."""
+        return not self.is_settled or self._n_added % SETTLED_STRIDE == 0
 
     @property
     def found(self) -> RowsFound | None:
@@ -112,11 +119,11 @@ class ReadoutCheck:
             self._last[-1] = rows
             return False
         self._n_as_one += self.as_one
+        self._n_added += 1
         self._last.append(rows)
-        velocity = _velocity(self._last)
-        if velocity is None:
+        velocity, middle = _velocity(self._last), self._last[len(self._last) // 2]
+        if velocity is None or len(middle.b) == 0:
             return False
-        middle = self._last[1]
         add_equations(middle.H, middle.b, middle.moved_with, velocity, self._information, self._slope)
         self._n_in_block, self._n_frames = self._n_in_block + 1, self._n_frames + 1
         readout_s, information = of_one_shear(self._information, self._slope)

@@ -131,6 +131,8 @@ def _as_known_now(keyframes: I64, noted: Sequence[F64 | None], world: Map) -> F6
     """Return poses `T_world_cam` (N, 4, 4), as known now, of poses noted in keyframes (N,); see `Map.placed_by`."""
     T_keyframe_cam = np.array(noted)
     T_keyframe_cam[:, :3, 3] *= world.keyframes.scale[keyframes][:, None]
-    poses = {keyframe: world.keyframe_pose(keyframe) for keyframe in set(keyframes.tolist())}
-    T_world_cam: F64 = np.array([poses[keyframe] for keyframe in keyframes.tolist()]) @ T_keyframe_cam
+    T_world_keyframe = world.keyframes.T_world_cam[keyframes]
+    for i in np.flatnonzero(~world.keyframes.is_alive[keyframes]):
+        T_world_keyframe[i] = world.keyframe_pose(int(keyframes[i]))
+    T_world_cam: F64 = T_world_keyframe @ T_keyframe_cam
     return T_world_cam

@@ -273,7 +273,7 @@ class RollingShutter:
         if check is None or tracked.T_world_cam is None:
             return tracked
         was_as_one, matches = check.as_one, Matches.of(tracked.point_ids)
-        check.add(_rows_of(tracked, matches, world, self._limits))
+        check.add(_rows_of(tracked, matches, world, self._limits, check.asks_next))
         if was_as_one:
             return tracked
         if check.is_settled:
@@ -306,8 +306,18 @@ class RollingShutter:
         return {} if camera is None else self._undecided.found_again(self._optimize_as_one, camera, world)
 
 
-def _rows_of(tracked: Tracked, matches: Matches, world: Map, limits: tuple[float, float]) -> Rows:
-    """Return the equations of a frame's pose and of the twist of its rows, at its pose."""
+def _rows_of(tracked: Tracked, matches: Matches, world: Map, limits: tuple[float, float], with_equations: bool) -> Rows:
+    """Return a frame's pose, and where they are asked for the equations of it and of the twist of its rows, there."""
+    assert tracked.T_world_cam is not None
+    frame = tracked.frame
+    moved_with = np.zeros(6) if frame.velocity is None else frame.camera.readout_s * frame.velocity
+    submap = int(world.keyframes.submap[tracked.reference_keyframe])
+    H, b = _equations_of(tracked, matches, world, limits) if with_equations else (np.zeros((0, 0)), np.zeros(0))
+    return Rows(frame.timestamp_s, tracked.T_world_cam, len(world.jumps), submap, H, b, moved_with)
+
+
+def _equations_of(tracked: Tracked, matches: Matches, world: Map, limits: tuple[float, float]) -> tuple[F64, F64]:
+    """Return the normal equations (12, 12), (12,) of a frame's pose and of the twist of its rows, at its pose."""
     assert tracked.T_world_cam is not None
     frame = tracked.frame
     kp, camera, n = frame.keypoints, frame.camera, len(matches)
@@ -324,9 +334,7 @@ def _rows_of(tracked: Tracked, matches: Matches, world: Map, limits: tuple[float
         np.zeros(6),
     )
     linearize_rows(se3.inverse(tracked.T_world_cam), np.zeros(6), seen, np.ones(n, dtype=np.bool_), limits, H, b)
-    moved_with = np.zeros(6) if frame.velocity is None else camera.readout_s * frame.velocity
-    submap = int(world.keyframes.submap[tracked.reference_keyframe])
-    return Rows(frame.timestamp_s, tracked.T_world_cam, len(world.jumps), submap, H, b, moved_with)
+    return H, b
 
 
 def terms_of(frame: Frame, matches: Matches, depth: DepthTerms) -> Terms:

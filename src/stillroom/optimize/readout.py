@@ -22,7 +22,8 @@ ITERATIONS = 5
 SHEAR_M, SHEAR_RAD = 0.02, 0.02
 """Standard deviations of b: what 0.7 m/s and rad/s come to in 30 ms."""
 OF_SHEAR = np.repeat((SHEAR_M, SHEAR_RAD), 3) ** -2.0
-_OF_SHEAR = np.diag(OF_SHEAR)
+"""Inverse variances of b (6,)."""
+_PRIOR_OF_SHEAR = np.diag(OF_SHEAR)
 HUBER = 2.0
 """In deviations of a keypoint."""
 LEAST_POINTS = 30
@@ -140,9 +141,9 @@ def of_frame(seen: RowsSeen, T_cam_world: F64, velocity: F64, camera: Camera, re
         H, b = np.einsum("nka,nkb->ab", weighted, J), np.einsum("nka,nk->a", weighted, error)
         free = np.r_[0:6, 7:13]
         with_prior = H[np.ix_(free, free)] + np.block(
-            [[np.zeros((6, 6)), np.zeros((6, 6))], [np.zeros((6, 6)), _OF_SHEAR]]
+            [[np.zeros((6, 6)), np.zeros((6, 6))], [np.zeros((6, 6)), _PRIOR_OF_SHEAR]]
         )
-        step = -np.linalg.solve(with_prior, b[free] + np.concatenate((np.zeros(6), _OF_SHEAR @ shear)))
+        step = -np.linalg.solve(with_prior, b[free] + np.concatenate((np.zeros(6), _PRIOR_OF_SHEAR @ shear)))
         T, shear = twists.exp(step[None, :6])[0] @ T, shear + step[6:]
     pose_first = np.linalg.solve(H[:6, :6], np.column_stack((H[:6, 6:], b[:6])))
     information = H[6:, 6:] - H[6:, :6] @ pose_first[:, :7]

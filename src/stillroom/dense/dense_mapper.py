@@ -86,12 +86,9 @@ class FusedViews:
         """
         views: I64 = np.flatnonzero(self._added_at[: self._n] != NOT_FUSED)
         with world.lock:
-            alive = world.keyframes.is_alive[self._keyframe[views]]
             if not with_culled:
-                views, alive = views[alive], alive[alive]
-            poses = world.keyframes.T_world_cam[self._keyframe[views]] @ self._T_keyframe_cam[views]
-            for i in np.flatnonzero(~alive):
-                poses[i] = self.pose_now(int(views[i]), world)
+                views = views[world.keyframes.is_alive[self._keyframe[views]]]
+            poses = world.keyframe_poses(self._keyframe[views]) @ self._T_keyframe_cam[views]
         change = se3.inverse(self._T_world_cam[views]) @ poses
         moved_m = np.linalg.norm(change[:, :3, 3], axis=1) + TYPICAL_DEPTH_M * se3.angle_rad(change)
         order = np.argsort(-moved_m, kind="stable")

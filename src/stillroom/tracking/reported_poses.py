@@ -131,8 +131,5 @@ def _as_known_now(keyframes: I64, noted: Sequence[F64 | None], world: Map) -> F6
     """Return poses `T_world_cam` (N, 4, 4), as known now, of poses noted in keyframes (N,); see `Map.placed_by`."""
     T_keyframe_cam = np.array(noted)
     T_keyframe_cam[:, :3, 3] *= world.keyframes.scale[keyframes][:, None]
-    T_world_keyframe = world.keyframes.T_world_cam[keyframes]
-    for i in np.flatnonzero(~world.keyframes.is_alive[keyframes]):
-        T_world_keyframe[i] = world.keyframe_pose(int(keyframes[i]))
-    T_world_cam: F64 = T_world_keyframe @ T_keyframe_cam
+    T_world_cam: F64 = world.keyframe_poses(keyframes) @ T_keyframe_cam
     return T_world_cam

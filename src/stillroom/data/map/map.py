@@ -294,6 +294,14 @@ class Map:
             T_world_alive: F64 = table.T_world_cam[alive].copy()
         return T_world_alive if T_kept_cam is None else T_world_alive @ T_kept_cam
 
+    def keyframe_poses(self, keyframes: I64) -> F64:
+        """Return `T_world_cam` (N, 4, 4) of keyframes (N,) as known now, alive or culled."""
+        with self.lock:
+            T_world_cam: F64 = self.keyframes.T_world_cam[keyframes]
+            for i in np.flatnonzero(~self.keyframes.is_alive[keyframes]):
+                T_world_cam[i] = self.keyframe_pose(int(keyframes[i]))
+        return T_world_cam
+
     def noted_in(self, keyframe: int, T_world_cam: F64) -> F64:
         """Return a pose (4, 4) relative to a keyframe, to be kept: in lengths as they were when that was added."""
         with self.lock:

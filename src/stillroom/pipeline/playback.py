@@ -185,6 +185,8 @@ class Paced:
         for arrival in self._intake.arrivals():
             with self._clock.stage(LOADING):
                 image = _read(arrival)
+                if isinstance(image, Image):
+                    _ = image.gray  # made here, where nobody waits for it
             first = first or arrival
             due_s = self._wait_until_due(arrival, first)
             with self._changed:

@@ -357,9 +357,9 @@ class _Newest:
 
 
 def _is_same(first: Image, second: Image) -> bool:
-    few = slice(None, None, 16)
-    if not np.array_equal(first.rgb[few, few], second.rgb[few, few]):
-        return False
+    middle = len(first.rgb) // 2
+    if not np.array_equal(first.rgb[middle], second.rgb[middle]):
+        return False  # nearly always: one row is in a few cache lines, the whole image is in none
     return all(np.array_equal(channel, second.channels[name]) for name, channel in first.channels.items())
 
 

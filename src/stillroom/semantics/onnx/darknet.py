@@ -9,6 +9,7 @@ import numpy as np
 
 from stillroom.errors import WeightsError
 from stillroom.geometry.arrays import F64
+from stillroom.semantics.onnx.channels import channels_of_a_block, widen
 from stillroom.semantics.onnx.layouts import DetectionRequest, Shape, Told, may_be
 
 LARGEST_EXPONENT = 20.0  # of a box with invalid numbers
@@ -117,9 +118,9 @@ class DarknetFile:
         self._read_shapes()
 
     def cut_to(self, classes: Sequence[int]) -> bytes:
-        """Return the ONNX model reduced to some classes, in their order.
+        """Return the ONNX model reduced to some classes, in their order, and made for this machine.
 
-        One class instead of 80 saves a twentieth of the work.
+        One class instead of 80 saves a twentieth of the work, channels in whole blocks up to a fifth.
 
         Args:
             classes: The numbers of the classes.
@@ -141,6 +142,7 @@ class DarknetFile:
                 whole = onnx.numpy_helper.to_array(constants[name])
                 constants[name].CopyFrom(onnx.numpy_helper.from_array(whole[rows], name))
             output.type.tensor_type.shape.dim[1].dim_value = len(rows)
+        widen(model, channels_of_a_block())
         return bytes(model.SerializeToString())
 
     def layout(self, asked: DetectionRequest) -> "DarknetHeads":

@@ -1,5 +1,7 @@
 """When submitted work runs: at once, or on worker threads. The threads of the papers are one possible schedule."""
 
+import os
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -83,6 +85,8 @@ QUEUE = {
     Worker.VIEWER: 4,
 }
 """How many pieces of work may be pending with each worker; a caller that submits more has to wait."""
+NICENESS = {Worker.NETWORK: 10, Worker.DENSE: 10, Worker.MAPPING: 5}
+"""By how much a worker stands back for those that tracking waits for, where there are fewer cores than workers."""
 
 
 @dataclass
@@ -293,7 +297,8 @@ class LiveSchedule:
 
     def _executor(self, worker: Worker) -> ThreadPoolExecutor:
         if worker not in self._executors:
-            self._executors[worker] = ThreadPoolExecutor(1, thread_name_prefix=f"stillroom-{worker.value}")
+            name = f"stillroom-{worker.value}"
+            self._executors[worker] = ThreadPoolExecutor(1, name, _stand_back, (NICENESS.get(worker, 0),))
         return self._executors[worker]
 
     def _load(self, worker: Worker) -> Load:
@@ -316,6 +321,13 @@ class LiveSchedule:
     def _say(self, event: Event) -> None:
         if self._listen is not None:
             self._listen(event)
+
+
+def _stand_back(niceness: int) -> None:
+    """Give the calling thread a lower priority, where a thread of a process can have its own."""
+    if sys.platform == "linux" and niceness > 0:
+        own = threading.get_native_id()
+        os.setpriority(os.PRIO_PROCESS, own, min(os.getpriority(os.PRIO_PROCESS, own) + niceness, 19))
 
 
 def schedule_of(name: str) -> InOrder | LiveSchedule:

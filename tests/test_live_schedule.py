@@ -1,5 +1,7 @@
 """The live schedule: workers with bounded queues, and how it ends."""
 
+import os
+import sys
 import threading
 
 import pytest
@@ -146,6 +148,51 @@ def test_no_dense_mapping_begins_while_clusters_are_awaited() -> None:
     soon(schedule.close)
     whats = [(event.worker, event.what) for event in events]
     assert whats.index((Worker.CLUSTERS, "ends")) < whats.index((Worker.DENSE, "begins"))
+
+
+def test_who_lets_a_worker_catch_up_waits_until_a_quarter_of_its_queue_is_left() -> None:
+    schedule, gates = LiveSchedule(), [threading.Event() for _ in range(QUEUE[Worker.MAPPING] // 4 + 1)]
+    for gate in gates:
+        schedule.submit(Worker.MAPPING, gate.wait, PATIENCE_S)
+    caught_up = threading.Event()
+
+    def wait() -> None:
+        schedule.catch_up(Worker.MAPPING, Worker.DENSE)
+        caught_up.set()
+
+    waiting = threading.Thread(target=wait)
+    waiting.start()
+    assert not caught_up.wait(0.2)
+    gates[0].set()
+    assert caught_up.wait(PATIENCE_S)
+    for gate in gates:
+        gate.set()
+    waiting.join()
+    schedule.close()
+
+
+def test_nobody_waits_for_a_worker_to_catch_up_once_another_has_failed() -> None:
+    schedule, begin, hold = LiveSchedule(), threading.Event(), threading.Event()
+    for _ in range(QUEUE[Worker.MAPPING] // 2):
+        schedule.submit(Worker.MAPPING, hold.wait, PATIENCE_S)
+    schedule.submit(Worker.CLUSTERS, lambda: begin.wait(PATIENCE_S) and fail())
+    begin.set()
+    schedule.catch_up(Worker.MAPPING)
+    hold.set()
+    with pytest.raises(MapError, match="disk"):
+        schedule.close()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere a thread has its process's priority")
+def test_workers_that_tracking_does_not_wait_for_have_a_lower_priority() -> None:
+    def own() -> int:
+        return os.getpriority(os.PRIO_PROCESS, threading.get_native_id())
+
+    schedule, here = LiveSchedule(), own()
+    found = {worker: schedule.submit(worker, own).result() for worker in Worker}
+    schedule.close()
+    assert {worker for worker, value in found.items() if value > here} == {Worker.NETWORK, Worker.DENSE}
+    assert own() == here
 
 
 def test_once_closed_work_runs_at_once() -> None:

@@ -85,7 +85,7 @@ QUEUE = {
     Worker.VIEWER: 4,
 }
 """How many pieces of work may be pending with each worker; a caller that submits more has to wait."""
-NICENESS = {Worker.NETWORK: 10, Worker.DENSE: 10, Worker.MAPPING: 5}
+NICENESS = {Worker.NETWORK: 10, Worker.DENSE: 10}
 """By how much a worker stands back for those that tracking waits for, where there are fewer cores than workers."""
 
 
@@ -201,13 +201,13 @@ class LiveSchedule:
         return self._start(worker, work, *args, **kwargs)
 
     def offer(self, worker: Worker, work: Callable[P, object], /, *args: P.args, **kwargs: P.kwargs) -> None:
-        """Let a worker do a piece of work while its queue is less than a quarter full; what is left out is counted.
+        """Let a worker do a piece of work while it has little to do; what is left out is counted.
 
         Raises:
             BaseException: As `submit`.
         """
         self._raise_failure()
-        if self._pending.get(worker, 0) <= QUEUE[worker] // 4:
+        if self._has_little(worker):
             self._start(worker, work, *args, **kwargs)
         else:
             self._load(worker).n_left_out += 1
@@ -215,6 +215,11 @@ class LiveSchedule:
     def keeps_up(self, worker: Worker) -> bool:
         """Return whether the worker's queue is no more than half full."""
         return self._pending.get(worker, 0) <= QUEUE[worker] // 2
+
+    def catch_up(self, *workers: Worker) -> None:
+        """Wait until workers have little to do, or one has failed."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._failure is not None or all(map(self._has_little, workers)))
 
     def close(self) -> None:
         """Let the workers finish what they have, and end their threads.
@@ -294,6 +299,10 @@ class LiveSchedule:
             with self._changed:
                 self._pending[worker] -= 1
                 self._changed.notify_all()
+
+    def _has_little(self, worker: Worker) -> bool:
+        """Return whether the worker's queue is no more than a quarter full."""
+        return self._pending.get(worker, 0) <= QUEUE[worker] // 4
 
     def _executor(self, worker: Worker) -> ThreadPoolExecutor:
         if worker not in self._executors:

@@ -41,6 +41,14 @@ def test_one_after_the_other_none_is_dropped(room: Dataset) -> None:
     assert playback.dropped == []
 
 
+@pytest.mark.parametrize(("speed", "n_waits"), [(0.0, 12), (FAST, 0)])
+def test_only_where_nothing_is_due_does_an_image_wait_for_mapping(room: Dataset, speed: float, n_waits: int) -> None:
+    waits: list[int] = []
+    with Paced(Recorded(select(room, ":12")), StageClock(), speed, lambda: waits.append(len(waits))) as playback:
+        list(playback.images(go_on))
+    assert len(waits) == n_waits
+
+
 def test_what_is_due_while_tracking_is_late_is_dropped_but_for_the_newest(room: Dataset) -> None:
     intake = Watched(select(room, ":12"))
     with Paced(intake, StageClock(), FAST) as playback:

@@ -107,16 +107,20 @@ class Paced:
     `SLOTS` are kept, or the one whose work was begun and the newest.
     """
 
-    def __init__(self, intake: Intake, clock: StageClock, speed: float) -> None:
+    def __init__(
+        self, intake: Intake, clock: StageClock, speed: float, catch_up: Callable[[], None] = lambda: None
+    ) -> None:
         """Take the images.
 
         Args:
             intake: Delivers them. One whose images come at their own times is not paced again.
             clock: Times the reading.
-            speed: How many seconds of a recording are played in one; 0 delivers an image as soon as it is asked for,
-                and drops none.
+            speed: How many seconds of a recording are played in one; 0 delivers an image as soon as it is asked for
+                and mapping keeps up, and drops none.
+            catch_up: Waits until mapping keeps up. Where no image is due, none is tracked in a map that lags behind:
+                keyframes are left out then, and poses are less exact.
         """
-        self._intake, self._clock, self._speed = intake, clock, speed
+        self._intake, self._clock, self._speed, self._catch_up = intake, clock, speed, catch_up
         self._changed = threading.Condition()
         self._ready: deque[Delivered] = deque()
         self._started_s: float | None = None
@@ -160,6 +164,8 @@ class Paced:
                 self._n_begun = max(0, self._n_begun - 1)
                 self._changed.notify_all()
             is_first = False
+            if self._speed == 0:
+                self._catch_up()
             yield delivered
 
     def following(self) -> list[Image]:
@@ -185,8 +191,6 @@ class Paced:
         for arrival in self._intake.arrivals():
             with self._clock.stage(LOADING):
                 image = _read(arrival)
-                if isinstance(image, Image):
-                    _ = image.gray  # made here, where nobody waits for it
             first = first or arrival
             due_s = self._wait_until_due(arrival, first)
             with self._changed:

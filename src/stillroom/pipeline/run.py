@@ -4,6 +4,7 @@ import logging
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Protocol
 
@@ -28,7 +29,7 @@ from stillroom.pipeline.untracked import Seen
 from stillroom.pipeline.viewing import Viewers, viewed
 from stillroom.pipeline.warned import kept_warnings
 from stillroom.protocols import Dataset, Origin, RunObserver, Segmenter
-from stillroom.schedule import LiveSchedule
+from stillroom.schedule import LiveSchedule, Worker
 from stillroom.semantics.detector import withhold
 from stillroom.semantics.mask_files import MaskFilesConfig
 from stillroom.semantics.no_segmenter import NothingConfig
@@ -188,7 +189,8 @@ def _playback(intake: Intake, slam: Slam, outcome: RunOutcome, options: RunOptio
     """Return what delivers the images; under a live schedule begin to count what it takes."""
     if not isinstance(options.schedule, LiveSchedule):
         return InTurn(intake, slam.clock)
-    paced = Paced(intake, slam.clock, options.speed)
+    catch_up = partial(options.schedule.catch_up, Worker.MAPPING)
+    paced = Paced(intake, slam.clock, options.speed, catch_up)
     has_segmenter = not isinstance(slam.config.semantics, NothingConfig)
     outcome.live = LiveFigures(options.speed, options.schedule, paced.dropped, has_segmenter)
     return paced

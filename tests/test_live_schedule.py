@@ -184,14 +184,14 @@ def test_nobody_waits_for_a_worker_to_catch_up_once_another_has_failed() -> None
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere a thread has its process's priority")
-def test_workers_that_tracking_does_not_wait_for_have_a_lower_priority() -> None:
+def test_the_worker_that_nobody_waits_for_has_a_lower_priority() -> None:
     def own() -> int:
         return os.getpriority(os.PRIO_PROCESS, threading.get_native_id())
 
     schedule, here = LiveSchedule(), own()
     found = {worker: schedule.submit(worker, own).result() for worker in Worker}
     schedule.close()
-    assert {worker for worker, value in found.items() if value > here} == {Worker.NETWORK, Worker.DENSE}
+    assert {worker for worker, value in found.items() if value > here} == {Worker.DENSE}
     assert own() == here
 
 

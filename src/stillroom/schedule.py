@@ -85,8 +85,8 @@ QUEUE = {
     Worker.VIEWER: 4,
 }
 """How many pieces of work may be pending with each worker; a caller that submits more has to wait."""
-NICENESS = {Worker.NETWORK: 10, Worker.DENSE: 10}
-"""By how much a worker stands back for those that tracking waits for, where there are fewer cores than workers."""
+NICENESS = {Worker.DENSE: 10}
+"""By how much a worker stands back, where there are fewer cores than workers: nobody waits for the dense map."""
 
 
 @dataclass

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
+from stillroom.data.image import RgbdImage
 from stillroom.data.result import FrameSummary, TrackingState
 from stillroom.datasets.open import open_dataset
 from stillroom.pipeline.untracked import Seen, likely_reason
@@ -47,6 +48,18 @@ def test_the_exit_code_is_3_and_the_reason_is_said(name: str, stillroom: Callabl
     assert "0 of 4 frames tracked" in said.out
     assert "no ground truth" not in said.out
     assert Path("out/metrics.json").exists()
+
+
+@pytest.mark.parametrize("row", [0, 1, 239, 479])
+def test_one_pixel_is_enough_wherever_it_is(row: int) -> None:
+    rgb, depth_m = np.zeros((480, 640, 3), np.uint8), np.zeros((480, 640), np.float32)
+    seen = Seen()
+    assert seen.add(RgbdImage(0.0, rgb, depth_m)) == (True, False)
+    rgb[row, 17, 1] = 8
+    assert seen.add(RgbdImage(0.0, rgb, depth_m)) == (False, True)
+    depth_m[row, 17] = 1.0
+    assert seen.add(RgbdImage(0.0, rgb, depth_m)) == (False, False)
+    assert (seen.n_images, seen.n_black, seen.n_without_depth) == (3, 1, 1)
 
 
 def test_reasons_that_no_recorded_room_has() -> None:

@@ -325,6 +325,19 @@ def test_what_cannot_be_asked_is_said():
         slam.process(sr.RgbdImage(0.0, np.zeros((480, 640, 3), np.uint8), np.zeros((480, 640), np.float32)))
 
 
+@pytest.mark.parametrize(("row", "n_repeated"), [(0, 0), (240, 0), (479, 0), (None, 1)])
+def test_an_image_that_differs_in_one_pixel_is_no_repetition(row, n_repeated):
+    sequence = room()
+    image = sequence.load(0)
+    rgb = image.rgb.copy()
+    if row is not None:
+        rgb[row, 0, 0] ^= 1
+    with sr.Slam("orb-slam2", sequence.camera) as slam:
+        slam.process(image)
+        slam.process(replace(image, rgb=rgb, index=1, timestamp_s=image.timestamp_s + 0.03))
+    assert slam.system.n_repeated == n_repeated
+
+
 def test_images_that_repeat_get_the_pose_before_and_change_nothing(caplog):
     sequence = room()
     images = list(sequence)

@@ -178,6 +178,7 @@ def test_nobody_waits_for_a_worker_to_catch_up_once_another_has_failed() -> None
     schedule.submit(Worker.CLUSTERS, lambda: begin.wait(PATIENCE_S) and fail())
     begin.set()
     schedule.catch_up(Worker.MAPPING)
+    assert schedule.loads[Worker.MAPPING].n_done == 0, "it waited for mapping all the same"
     hold.set()
     with pytest.raises(MapError, match="disk"):
         schedule.close()

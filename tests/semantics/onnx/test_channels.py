@@ -77,5 +77,9 @@ def test_a_network_with_a_step_that_is_not_known_stays_as_it_is(changes):
     assert wide == plain
 
 
-def test_this_machine_has_blocks_of_one_of_both_sizes():
-    assert channels_of_a_block() in (NARROW, WIDE)
+@pytest.mark.parametrize(
+    ("features", "expected"), [({"avx512f": True}, WIDE), ({"avx512f": False}, NARROW), ({"neon": True}, NARROW)]
+)
+def test_blocks_are_as_wide_as_the_registers(monkeypatch, features, expected):
+    monkeypatch.setattr("llvmlite.binding.get_host_cpu_features", lambda: features)
+    assert channels_of_a_block() == expected

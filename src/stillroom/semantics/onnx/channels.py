@@ -48,7 +48,7 @@ def widen(model: Any, least: int) -> None:
     """
     graph = model.graph
     constants = {constant.name: constant for constant in graph.initializer}
-    places = {value.name: _whole(value.type.tensor_type.shape.dim[1].dim_value) for value in graph.input}
+    places = {value.name: _wide(value.type.tensor_type.shape.dim[1].dim_value, 0) for value in graph.input}
     makers = {name: node for node in graph.node for name in node.output}
     ends = {_convolution_of(makers, output.name) for output in graph.output}
     changed: dict[str, Any] = {}
@@ -102,11 +102,8 @@ def _convolution_of(makers: Mapping[str, Any], name: str) -> str:
     return name
 
 
-def _whole(n: int) -> _Place:
-    return _Place(np.arange(n), n)
-
-
 def _wide(n: int, least: int) -> _Place:
+    """Return the place of `n` channels at the beginning of at least `least`."""
     return _Place(np.arange(n), max(n, least))
 
 
